@@ -226,7 +226,7 @@ class SampledPlant(AbstractSampledSystem):
             state, time, unsolved = carry
             signal = self._signal(command, time)
             state, failed = self.plant.solve_step(state, signal, signal, duration)
-            return (state, time + duration, unsolved + failed), jnp.concatenate([state.temperature, state.unknown])
+            return (state, time + duration, unsolved + failed), state.step_unknowns
 
         (plant_state, time, unsolved), solutions = jax.lax.scan(
             substep, (*state, jnp.asarray(0)), None, length=self.substeps

@@ -7,8 +7,10 @@ import equinox as eqx
 from smajax.channels import channel_of
 from smajax.files.rig_kinds import HEATS
 from smajax.parameters import TIES, Declaration, declarations
+from smajax.plant.cells import Cells
 from smajax.plant.coil import Coil
 from smajax.plant.drive import DRIVES
+from smajax.plant.grains import Grains
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.sensor import Sensor
@@ -31,6 +33,7 @@ def owners(*, installed: bool = True) -> Iterator[tuple[str, type[eqx.Module], s
     yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())
     yield from (("heat", heat, words) for words, heat in HEATS.items())
     yield from (("material", material, f'model = "{model}"') for model, material in materials.items())
+    yield from (("cells", Cells, "cells under [wire]"), ("grains", Grains, "grains under [material]"))
     for kind, mechanism in mechanisms.items():
         sections = mechanism.rig_sections()
         yield from ((section, part, f'kind = "{kind}"') for section, part in sections.items())

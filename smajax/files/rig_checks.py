@@ -18,6 +18,11 @@ from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
 
 OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "recording", "fit")
+# What selects the sections of a wire of several cells or grains.
+_STRUCTURE_CURES = {
+    "cells": ", or set a number of cells, as in cells = 9 under [wire]",
+    "grains": ", or set a number of grains, as in grains = 6 under [material]",
+}
 # Excess of the sum of phase fractions over 1 that counts as rounding of decimals in the file.
 _FRACTION_ROUNDING = 1e-12
 
@@ -74,7 +79,7 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
             kinds = [
                 f'kind = "{kind}"' for kind, mechanism in MECHANISMS.items() if section in mechanism.rig_sections()
             ]
-            cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
+            cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else _STRUCTURE_CURES.get(section, "")
             raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
         key = next(key for key in content if key not in stages.keys(section))
         raise InputError(_misplaced_key(section, key, stages, choices))

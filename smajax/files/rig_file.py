@@ -22,6 +22,7 @@ from smajax.files.rig_checks import check_belongs, check_coil, check_order, chec
 from smajax.files.rig_kinds import DEFAULTS, choose_stages
 from smajax.files.rig_plant import build_effects, build_plant, build_sensor, value_of
 from smajax.files.rig_schema import FitSection, RigSection
+from smajax.files.rig_structure import take_structure
 from smajax.files.rig_text import rig_toml
 from smajax.files.rig_values import (
     ParameterSet,
@@ -224,10 +225,12 @@ def _parse_data(data: dict[str, Any], name: str, rows: Mapping[str, int], folder
 
 
 def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path) -> Rig:
+    data, structure = take_structure(data)
     head, fit = _read_head_and_fit(data)
     observe = observed_channels(fit, head.kind)
     parameter_set = read_parameter_set(data, folder)
-    stages = choose_stages(head.kind, head.control, fit.model, observe, has_exponent(data, parameter_set))
+    exponent = has_exponent(data, parameter_set)
+    stages = choose_stages(head.kind, head.control, fit.model, observe, exponent, structure)
     check_belongs(data, stages, head.control)
     place = {n: f"{name} line {rows[n]}" if n in rows else name for n in _names_in(data)}
     free = [*fit.free, *fit.per_recording]

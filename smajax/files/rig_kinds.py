@@ -11,10 +11,13 @@ import equinox as eqx
 
 from smajax.errors import InputError
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
+from smajax.files.rig_structure import UNIFORM, Structure
 from smajax.parameters import TIES, Declaration, declarations
+from smajax.plant.cells import Cells
 from smajax.plant.coil import Coil
 from smajax.plant.convection import PolynomialConvection, PowerLawConvection
 from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
+from smajax.plant.grains import Grains
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial
 from smajax.plant.materials.registry import MATERIALS
@@ -47,6 +50,7 @@ class Stages:
         drive: Class of the drive.
         heat: Class of the heat balance.
         material: Class of the material law.
+        structure: Numbers of cells and grains.
     """
 
     kind: str
@@ -54,6 +58,7 @@ class Stages:
     drive: type[AbstractDrive]
     heat: type[AbstractHeat]
     material: type[AbstractMaterial]
+    structure: Structure = UNIFORM
 
     @property
     def parts(self) -> dict[str, type[eqx.Module]]:
@@ -62,7 +67,9 @@ class Stages:
         specific = {"drive": self.drive, "heat": self.heat, "material": self.material, **sections}
         wire = WIRES.get(self.kind, self.mechanism.wire_class)
         shared = {"wire": wire, "environment": Environment, "initial": Initial}
-        return {section: part for section, part in (specific | shared).items() if declarations(part)}
+        parts = {section: part for section, part in (specific | shared).items() if declarations(part)}
+        parts |= {"cells": Cells} if self.structure.cells > 1 else {}
+        return parts | ({"grains": Grains} if self.structure.grains > 1 else {})
 
     @property
     def inert(self) -> frozenset[str]:
@@ -84,7 +91,14 @@ class Stages:
         return {name.split(".", 1)[1]: d for name, d in self.table().items() if name.startswith(f"{section}.")}
 
 
-def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[str], exponent: bool) -> Stages:
+def choose_stages(
+    kind: str,
+    control: str | None,
+    model: str,
+    observe: Iterable[str],
+    exponent: bool,
+    structure: Structure = UNIFORM,
+) -> Stages:
     """Return the classes of the stages of a rig.
 
     Args:
@@ -95,21 +109,25 @@ def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[
         model: Material law, a key of ``MATERIALS``.
         observe: Channels that are fitted.
         exponent: Whether h(T) has an exponent.
+        structure: Numbers of cells and grains.
 
     Raises:
-        InputError: If a temperature is prescribed and the rig has several wires.
+        InputError: If a temperature is prescribed and the rig has several wires or cells.
     """
     material = MATERIALS[model]
+    if structure.cells > 1 and (kind == "path" or control == PRESCRIBED_TEMPERATURE):
+        cure = "remove it, since the recording has the temperature of the wire"
+        raise InputError(f"wire.cells = {structure.cells} does not apply where the temperature is prescribed: {cure}")
     if kind == "path":
         mechanism = TestingMachine if "stress" in observe else StressPath
-        return Stages(kind, mechanism, NoDrive, PrescribedTemperature, material)
+        return Stages(kind, mechanism, NoDrive, PrescribedTemperature, material, structure)
     if control == PRESCRIBED_TEMPERATURE:
         if MECHANISMS[kind].wires != 1:
             problem = f'rig.control = "{control}" prescribes one temperature, and {rig_phrase(kind)} has several wires'
             raise InputError(f'{problem}: name the electrical input, as in control = "current"')
-        return Stages(kind, MECHANISMS[kind], NoDrive, PrescribedTemperature, material)
+        return Stages(kind, MECHANISMS[kind], NoDrive, PrescribedTemperature, material, structure)
     heat = PowerLawConvection if exponent else PolynomialConvection
-    return Stages(kind, MECHANISMS[kind], DRIVES[control or ""], heat, material)
+    return Stages(kind, MECHANISMS[kind], DRIVES[control or ""], heat, material, structure)
 
 
 def rig_phrase(kind: str) -> str:

@@ -43,7 +43,12 @@ def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[st
         if not has_effect and not any(n.startswith("sheath.") for n in free):
             mechanism_parts["sheath"] = None
     stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
-    parts = {section: build(section, part) for section, part in stage_classes.items() if section not in sections}
+    counts = {section: {"count": count} for section, count in stages.structure._asdict().items()}
+    parts = {
+        section: build(section, part, **counts.get(section, {}))
+        for section, part in stage_classes.items()
+        if section not in sections
+    }
     return Plant(mechanism=build(OWN_SECTION, mechanism, **mechanism_parts), sensor=Sensor.identity(()), **parts)
 
 

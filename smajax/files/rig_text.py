@@ -40,6 +40,10 @@ def rig_toml(
         home, _, key = section.partition(".")
         table = _section_table(plant, section, list(declarations(part)))
         data |= {home: data.get(home, {}) | {key: table}} if key else {section: table}
+    if plant.cells is not None:
+        data["wire"] |= {"cells": plant.cells.count}
+    if plant.grains is not None:
+        data["material"] |= {"grains": plant.grains.count}
     data["sensor"] = _section_table(plant, "sensor", list(plant.sensor.declarations()))
     data["channels"] = channels.table()
     data["recording"] = recording.table()

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.numerics.dense import solve_dense
+from smajax.numerics.dense import combine, solve_dense
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 
 
@@ -52,7 +52,7 @@ def implicit_jvp(
     jacobian, state_per_unknown = jax.jacfwd(lambda z: step_residual(z, *primals))(end)
     residual, state = jvp(lambda *primals: step_residual(end, *primals), primals, tangents)
     change = solve_dense(jacobian, residual)
-    return state - sum(state_per_unknown[:, i] * change[i] for i in range(len(end)))
+    return state - combine(state_per_unknown, change)
 
 
 @eqx.filter_custom_jvp

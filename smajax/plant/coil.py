@@ -66,6 +66,11 @@ class Coil(AbstractWire):
         return self.springs / self.paths * jnp.pi * self.coil_diameter * self.turns
 
     @property
+    def length_between_clamps(self) -> Float[Array, "..."]:
+        """Length of the wire of one spring, in m."""
+        return jnp.pi * self.coil_diameter * self.turns
+
+    @property
     def force_per_stress(self) -> Float[Array, "..."]:
         """Force of all springs over the equivalent tension, in m^2: springs times pi r^3 / (2 sqrt(3) R)."""
         return self.springs * jnp.pi * self.diameter**3 / (8.0 * _MISES * self.coil_diameter)

@@ -12,7 +12,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
@@ -55,8 +54,7 @@ def _implicit_step_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
     primals = nondifferentiable(primals, first_order_only("a plant's step"))
     plant, *arguments = primals
     state_at_end, failed = plant.solve_step(*arguments)
-    end = jnp.concatenate([state_at_end.temperature, state_at_end.unknown])
-    return (state_at_end, failed), (_tangent_at(end, primals, tangents, state_at_end), None)
+    return (state_at_end, failed), (_tangent_at(state_at_end.step_unknowns, primals, tangents, state_at_end), None)
 
 
 @eqx.filter_custom_jvp

@@ -18,6 +18,7 @@ from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect
 from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
+from smajax.plant.stages import CLAMP
 from smajax.plant.state import State
 from smajax.plant.step_solver import StepSolver, newton_corrected
 
@@ -57,11 +58,12 @@ class Plant(StepSolver):
         context, prescribed = self._mechanism_context(), self._prescribed_channels(signal)
         ambient = prescribed.get("ambient", self.environment.ambient)
         resting = ambient if self.initial.temperature is None else self.initial.temperature
-        temperature = jnp.broadcast_to(prescribed.get("temperature", resting), (self.mechanism.wires,))
+        temperature = jnp.broadcast_to(prescribed.get("temperature", resting), self.temperature_shape)
         fractions = self._initial_fractions(temperature, prescribed)
         unknown = self.mechanism.initial_unknowns(prescribed, context)
         stress = self.mechanism.stress(unknown, prescribed, context)
-        strain = self.effective_material.strain(fractions, temperature, stress, self.environment.ambient)
+        mean = self._mean_over_grains(fractions)
+        strain = self._along_wire(self.effective_material.strain(mean, temperature, stress, self.environment.ambient))
         if self._has_drag:
             unknown = jnp.append(unknown, 0.0)
         memory: dict[str, Any] = {}
@@ -69,37 +71,49 @@ class Plant(StepSolver):
             wire_state = WireState(
                 jnp.zeros(()),
                 temperature,
-                fractions,
+                mean,
                 stress,
                 self.mechanism.contraction(strain),
                 jnp.zeros_like(temperature),
             )
             strain, memory = self._initial_memory(self._in_surroundings(wire_state, prescribed))
+        if self.cells is not None:
+            memory[CLAMP] = jnp.broadcast_to(ambient, (self.mechanism.wires,))
         state = State(temperature, fractions, stress, unknown, self.mechanism.initial_motion(strain), memory)
         # Under a known load the state is in equilibrium already; a prescribed strain takes a step of zero duration.
         return _equilibrium(self, state, signal) if "strain" in prescribed else state
 
-    def _initial_fractions(self, temperature: Float[Array, " wires"], prescribed: dict[str, Any]) -> Fractions:
-        """The fractions as installed, or as ``initial`` gives them."""
-        installed = self.mechanism.fractions(
-            self.effective_material, temperature, prescribed, self._mechanism_context()
+    def _initial_fractions(self, temperature: Float[Array, "*cells wires"], prescribed: dict[str, Any]) -> Fractions:
+        """The fractions of all grains as installed, or as ``initial`` gives them."""
+        grains = () if self.grains is None else (self.grains.count,)
+        shape = (*grains, *temperature.shape)
+        uniform, context = temperature.reshape(-1, self.mechanism.wires)[0], self._mechanism_context()
+        installed = self._each_grain(
+            lambda law, _: self.mechanism.fractions(law, uniform, prescribed, context),
+            self.effective_material,
+            jnp.zeros(grains),
         )
+        # All cells start alike.
+        installed = Fractions(*(f.reshape(*grains, *(1,) * (temperature.ndim - 1), -1) for f in installed))
+        installed = Fractions(*(jnp.broadcast_to(f, shape) for f in installed))
         detwinned = (
-            installed.detwinned
-            if self.initial.detwinned is None
-            else jnp.broadcast_to(self.initial.detwinned, temperature.shape)
+            installed.detwinned if self.initial.detwinned is None else jnp.broadcast_to(self.initial.detwinned, shape)
         )
         twinned = minimum(installed.twinned, 1.0 - detwinned)
         if self.initial.twinned is not None:
-            twinned = jnp.broadcast_to(self.initial.twinned, temperature.shape)
+            twinned = jnp.broadcast_to(self.initial.twinned, shape)
         return Fractions(detwinned, twinned)
 
     def _initial_memory(self, wire_state: WireState) -> tuple[Float[Array, " wires"], dict[str, Any]]:
         """Strains of the wires with the terms of the effects, and the memory of the effects at the start."""
         context = self._stage_context(wire_state.ambient)
-        strain = self._strain(wire_state, {e.key: e.initial_memory(wire_state, context) for e in self.all_effects})
+
+        def initial_memory() -> dict[str, Any]:
+            return {e.key: self._hook(e, "initial_memory")(wire_state, context) for e in self.all_effects}
+
+        strain = self._strain(wire_state, initial_memory())
         wire_state = wire_state._replace(contraction=self.mechanism.contraction(strain))
-        memory = {e.key: e.initial_memory(wire_state, context) for e in self.all_effects}
+        memory = initial_memory()
         return strain, memory | self._shared_memory(wire_state)
 
     def step(
@@ -139,12 +153,12 @@ class Plant(StepSolver):
         wires = self.mechanism.wires
         wire_state = self._wire_state(state)
         strain = self._strain(wire_state, state.memory)
-        resistivity = self._resistivity(wire_state)
+        resistivity = self._along_wire(self._resistivity(wire_state))
         control = self._electrical_input(signal, resistivity)
         current = self.drive.current(control, resistivity, self.wire)
         ohms = resistance(resistivity, self.wire)
         each = {
-            "temperature": state.temperature,
+            "temperature": self._measured_temperature(state.temperature),
             "stress": state.stress,
             "strain": strain,
             "force": state.stress * self.wire.force_per_stress,
@@ -162,6 +176,13 @@ class Plant(StepSolver):
         }
         values.update(self.mechanism.channels(strain, state.stress, state.motion, self._mechanism_context()))
         return {c: self.sensor.read(c, v) for c, v in values.items()}
+
+    def _measured_temperature(self, temperature: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
+        """The temperatures of the wires where their thermocouples are."""
+        if self.cells is None:
+            return temperature
+        boundaries = self.cells.boundaries(self.wire, self.heat, self.environment)
+        return self.cells.reading(temperature, boundaries)
 
     def read_sensors(
         self, series: dict[str, Float[Array, " samples"]], time: Float[Array, " samples"]
@@ -225,7 +246,7 @@ def _equilibrium(plant: Plant, state: State, signal: Float[Array, " signals"]) -
     step = jnp.zeros(())
     fixed_plant, fixed_state, fixed_signal = jax.lax.stop_gradient((plant, state, signal))
     solved, _ = fixed_plant.solve_step(fixed_state, fixed_signal, fixed_signal, step)
-    end = jnp.concatenate([solved.temperature, solved.unknown])
+    end = solved.step_unknowns
     _, jacobian_product = jax.linearize(lambda z: fixed_plant.step_residual(fixed_state, signal, signal, step, z), end)
     residual, state_at_end = plant.step_residual(state, signal, signal, step, end)
     return newton_corrected(state_at_end, residual, jacobian_product)

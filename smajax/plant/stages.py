@@ -5,14 +5,18 @@ stage (``smajax.plant.effects``). Each equation is written once here, as the val
 effects.
 """
 
-from collections.abc import Collection
+import functools
+import math
+from collections.abc import Callable, Collection
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.channels import numbered
+from smajax.plant.cells import Cells
 from smajax.plant.drive import AbstractDrive
 from smajax.plant.effects.base import (
     AbstractEffect,
@@ -24,6 +28,7 @@ from smajax.plant.effects.base import (
     WireState,
 )
 from smajax.plant.effects.hook_results import checked_memory, checked_result, checked_type
+from smajax.plant.grains import Grains
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
@@ -37,6 +42,10 @@ SURROUNDINGS = ("ambient", "fan")
 # Key of the accumulated transformation in a state's memory. Its alphabetical position determines the layout of flat
 # states.
 _ACCUMULATED = "transformation"
+# Key of the temperature of the clamps in a state's memory.
+CLAMP = "clamp"
+# Axis of the cells in the entries of a ``WireState``.
+_CELL_AXES = WireState(None, 0, 0, None, None, 0, None, None)  # pyright: ignore[reportArgumentType]
 
 
 class PlantStages(eqx.Module):
@@ -52,6 +61,8 @@ class PlantStages(eqx.Module):
         mechanism: Load of the wires.
         sensor: Gains and offsets of the sensors; by default every channel is read as it is.
         effects: Effects that are added to the stages.
+        cells: Cells along each wire; by default none, so that a wire has one temperature.
+        grains: Grains in each cell; by default none, so that all of it follows the law at the same temperatures.
     """
 
     wire: AbstractWire
@@ -63,6 +74,19 @@ class PlantStages(eqx.Module):
     mechanism: AbstractMechanism
     sensor: Sensor = eqx.field(default_factory=lambda: Sensor.identity(()), kw_only=True)
     effects: tuple[AbstractEffect, ...] = ()
+    cells: Cells | None = eqx.field(default=None, kw_only=True)
+    grains: Grains | None = eqx.field(default=None, kw_only=True)
+
+    @property
+    def temperature_shape(self) -> tuple[int, ...]:
+        """Shape of the temperatures of a state: ``(wires,)``, with cells ``(cells, wires)``."""
+        cells = () if self.cells is None else (self.cells.simulated,)
+        return (*cells, self.mechanism.wires)
+
+    @property
+    def temperatures(self) -> int:
+        """Number of temperatures of a state."""
+        return math.prod(self.temperature_shape)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -136,7 +160,7 @@ class PlantStages(eqx.Module):
         return WireState(
             memory["time"],
             state.temperature,
-            state.fractions,
+            self._mean_over_grains(state.fractions),
             state.stress,
             memory["contraction"],
             memory[_ACCUMULATED],
@@ -154,12 +178,76 @@ class PlantStages(eqx.Module):
             _ACCUMULATED: wire_state.accumulated_transformation,
         }
 
+    # Cells and grains.
+
+    def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
+        """The mean of a quantity of the cells over the length of each wire."""
+        if self.cells is None:
+            return values
+        shares = self.cells.shares(self.wire, self.heat, self.environment)
+        return jnp.sum(shares[:, None] * values, axis=0)
+
+    def _mean_over_grains(self, fractions: Fractions) -> Fractions:
+        """The fractions of the cells: the mean of those of their grains."""
+        if self.grains is None:
+            return fractions
+        return Fractions(*(jnp.mean(fraction, axis=0) for fraction in fractions))
+
+    def _whole_wires(self, wire_state: WireState) -> WireState:
+        """The wires with the means over their lengths, for effects on the mechanism and the sensors."""
+        if self.cells is None:
+            return wire_state
+        return wire_state._replace(
+            temperature=self._along_wire(wire_state.temperature),
+            fractions=Fractions(*map(self._along_wire, wire_state.fractions)),
+            accumulated_transformation=self._along_wire(wire_state.accumulated_transformation),
+        )
+
+    def _each_grain(
+        self, function: Callable[[AbstractMaterial, Any], Fractions], material: AbstractMaterial, values: Any
+    ) -> Fractions:
+        """Call a function of the law and of further values, with an axis of grains in front, for each grain."""
+        if self.grains is None:
+            return function(material, values)
+        grains = self.grains
+        return jax.vmap(lambda quantile, value: function(grains.material_of(material, quantile), value))(
+            jnp.asarray(grains.quantiles), values
+        )
+
+    def _each_cell(self, hook: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a hook of an effect on heat or material, for which each cell is a wire."""
+        if self.cells is None:
+            return hook(*arguments)
+        return jax.vmap(hook, in_axes=tuple(map(_cell_axes, arguments)))(*arguments)
+
+    def _hook(self, effect: AbstractEffect, name: str) -> Callable[..., Any]:
+        """A hook of an effect: of one on heat or material for each cell, of all others for the whole wires."""
+        method = getattr(effect, name)
+        if self.cells is None or isinstance(effect, HeatEffect | MaterialEffect):
+            return functools.partial(self._each_cell, method)
+
+        def on_whole_wires(*arguments: Any) -> Any:
+            return method(*(self._whole_wires(a) if isinstance(a, WireState) else a for a in arguments))
+
+        return on_whole_wires
+
+    def _clamp_temperature(
+        self, memory: dict[str, Any], first: WireState, last: WireState, step: Float[Array, ""]
+    ) -> dict[str, Any]:
+        """The entry of the clamps in a state's memory after a step; none without cells."""
+        if self.cells is None:
+            return {}
+        ends = first.temperature[0], last.temperature[0]
+        ambient = tuple(self.environment.ambient if at.ambient is None else at.ambient for at in (first, last))
+        parts = self.wire, self.heat, self.environment
+        return {CLAMP: self.cells.clamp_temperature(memory[CLAMP], ends, ambient, step, *parts)}
+
     def _begin_step(self, state: State, step: Float[Array, ""]) -> State:
         """The state with the memory that heat effects hold constant during a step of ``step`` seconds."""
         memory = state.memory
         begun = {}
         for e in self._effects_of(HeatEffect):
-            constant = e.begin_step(memory[e.key], memory["time"], step)
+            constant = self._each_cell(e.begin_step, memory[e.key], memory["time"], step)
             begun[e.key] = checked_memory(e, "begin_step", constant, memory[e.key])
         return state._replace(memory=memory | begun)
 
@@ -174,7 +262,7 @@ class PlantStages(eqx.Module):
         """Memory of the effects of some kinds after a step from ``first`` to ``last``, by their keys."""
         context, updated = self._stage_context(last.ambient), {}
         for e in self._effects_of(kinds):
-            at_end = e.update_memory(memory[e.key], first, last, step, context)
+            at_end = self._hook(e, "update_memory")(memory[e.key], first, last, step, context)
             updated[e.key] = checked_memory(e, "update_memory", at_end, memory[e.key])
         return updated
 
@@ -205,72 +293,102 @@ class PlantStages(eqx.Module):
 
     # Material.
 
-    def _resistivity(self, wire_state: WireState) -> Float[Array, " wires"]:
+    def _resistivity(self, wire_state: WireState) -> Float[Array, "*cells wires"]:
         base, context = self.material.resistivity(wire_state.fractions), self._stage_context()
         return base + sum(
-            base * checked_result(e, "resistivity", e.resistivity(wire_state, context), base.shape, "wires")
+            base
+            * checked_result(e, "resistivity", self._each_cell(e.resistivity, wire_state, context), base.shape, "wires")
             for e in self._effects_of(MaterialEffect)
         )
 
     def _strain(self, wire_state: WireState, memory: dict[str, Any]) -> Float[Array, " wires"]:
+        """The strains of the wires, means over their lengths."""
         context = self._stage_context()
         base = context.material.strain(
             wire_state.fractions, wire_state.temperature, wire_state.stress, self.environment.ambient
         )
-        return base + sum(
-            checked_result(e, "strain", e.strain(wire_state, memory[e.key], context), base.shape, "wires")
+        strain = base + sum(
+            checked_result(
+                e, "strain", self._each_cell(e.strain, wire_state, memory[e.key], context), base.shape, "wires"
+            )
             for e in self._effects_of(MaterialEffect)
         )
+        return self._along_wire(strain)
 
     def _evolve_fractions(
-        self, first: WireState, temperature: Float[Array, " wires"], stress: Float[Array, " wires"]
+        self,
+        first: WireState,
+        fractions: Fractions,
+        temperature: Float[Array, "*cells wires"],
+        stress: Float[Array, " wires"],
     ) -> Fractions:
-        """The fractions after a step from ``first`` to a temperature and a stress."""
+        """The fractions of all grains after a step from ``first`` to a temperature and a stress."""
         context = self._stage_context()
         material, shift = context.material, 0.0
         for e in self._effects_of(MaterialEffect):
             material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
-            shift = shift + checked_result(e, "shift", e.shift(first, context), temperature.shape, "wires")
-        fractions = material.evolve(
-            first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress)
-        )
+            shift = shift + checked_result(
+                e, "shift", self._each_cell(e.shift, first, context), temperature.shape, "wires"
+            )
+        temperatures = first.temperature - shift, temperature - shift
+        stresses = tuple(jnp.broadcast_to(s, temperature.shape) for s in (first.stress, stress))
+        evolved = self._each_grain(lambda law, before: law.evolve(before, temperatures, stresses), material, fractions)
         for e in self._effects_of(MaterialEffect):
-            changed = checked_type(e, "modify_fractions", e.modify_fractions(first.fractions, fractions), Fractions)
-            for part, before in zip(changed, fractions, strict=True):
+            modify = functools.partial(self._each_cell, e.modify_fractions)
+            changed = (modify if self.grains is None else jax.vmap(modify))(fractions, evolved)
+            checked_type(e, "modify_fractions", changed, Fractions)
+            for part, before in zip(changed, evolved, strict=True):
                 checked_result(e, "modify_fractions", part, before.shape, "wires")
-            fractions = changed
-        return fractions
+            evolved = changed
+        return evolved
 
     # Heat.
 
-    def _heat_capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
+    def _heat_capacity(self, martensite: Float[Array, "*cells wires"]) -> Float[Array, "*cells wires"]:
         base = self.heat.capacity(martensite)
         return base + sum(
-            base * checked_result(e, "capacity", e.capacity(martensite), martensite.shape, "wires")
+            base * checked_result(e, "capacity", self._each_cell(e.capacity, martensite), martensite.shape, "wires")
             for e in self._effects_of(HeatEffect)
         )
 
     def _net_heat(
         self, wire_state: WireState, memory: dict[str, Any], signal: Float[Array, " signals"]
-    ) -> Float[Array, " wires"]:
+    ) -> Float[Array, "*cells wires"]:
         """Net heat into each wire per volume in W/m^3: Joule heat less convection, plus the heat of the effects."""
         resistivity = self._resistivity(wire_state)
         wire_state = self._in_surroundings(wire_state, self._prescribed_channels(signal))
         context = self._stage_context(wire_state.ambient)
-        joule = self.drive.joule(self._electrical_input(signal, resistivity), resistivity, self.wire)
+        mean = self._along_wire(resistivity)
+        joule = self.drive.joule(self._electrical_input(signal, mean), mean, self.wire)
+        if self.cells is not None:
+            joule = joule * (resistivity / mean)  # one current, and each cell has its resistivity
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, context.environment)
+        if self.cells is not None:
+            parts = self.wire, self.heat, context.environment
+            rate = rate + self.cells.net_heat(wire_state.temperature, memory[CLAMP], *parts)
         return rate + sum(
-            checked_result(e, "power", e.power(wire_state, memory[e.key], context), rate.shape, "wires")
+            checked_result(
+                e, "power", self._each_cell(e.power, wire_state, memory[e.key], context), rate.shape, "wires"
+            )
             for e in self._effects_of(HeatEffect)
         )
 
-    def _stored_heat(self, first: WireState, last: WireState) -> Float[Array, " wires"] | float:
+    def _stored_heat(self, first: WireState, last: WireState) -> Float[Array, "*cells wires"] | float:
         """Heat per volume in J/m^3 stored between two instants in addition to warming, such as latent heat."""
         context, stored = self._stage_context(), 0.0
         for e in self._effects_of(HeatEffect):
             heats = [
-                checked_result(e, "enthalpy", e.enthalpy(w, context), w.temperature.shape, "wires")
+                checked_result(e, "enthalpy", self._each_cell(e.enthalpy, w, context), w.temperature.shape, "wires")
                 for w in (last, first)
             ]
             stored = stored + (heats[0] - heats[1])
         return stored
+
+
+def _cell_axes(argument: Any) -> Any:
+    """Axis of the cells in the leaves of an argument of a hook; ``None`` where there is none."""
+    if isinstance(argument, WireState):
+        return _CELL_AXES
+    if isinstance(argument, StageContext):
+        return None
+    return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, argument)

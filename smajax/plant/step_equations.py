@@ -49,7 +49,7 @@ class StepEquations(PlantStages):
     def _residual(
         self,
         state: State,
-        rate: Float[Array, " wires"],
+        rate: Float[Array, "*cells wires"],
         before: Float[Array, " signals"],
         after: Float[Array, " signals"],
         step: Float[Array, ""],
@@ -61,27 +61,25 @@ class StepEquations(PlantStages):
         The trapezoidal rule is accurate enough for a search, since the last Newton step uses the Hermite-Simpson rule.
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(after)
-        first, wires = self._wire_state(state), self.mechanism.wires
+        first, heats = self._wire_state(state), self.temperatures
         first = self._in_surroundings(first, self._prescribed_channels(before))
-        unknown = end[wires : wires + self.mechanism.unknowns]
-        last, memory = self._end_of_step(state, first, unknown, prescribed, step, end)
+        unknown = end[heats : heats + self.mechanism.unknowns]
+        last, fractions, memory = self._end_of_step(state, first, unknown, prescribed, step, end)
         strain = self._strain(last, memory)
         if self.all_effects:
             last = last._replace(contraction=self.mechanism.contraction(strain))
             memory |= self._updated_memory((MechanismEffect,), memory, first, last, step)
             memory |= self._shared_memory(last)
         if isinstance(self.heat, PrescribedTemperature):
-            heat = end[:wires] - last.temperature
+            heat = end[:heats].reshape(self.temperature_shape) - last.temperature
         else:
-            heat = self._heat_residual(first, last, state.memory, memory, (rate, before, after), step, coarse)
+            heat = self._heat_residual(state, first, last, memory, (rate, before, after), step, coarse)
         balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, context, step)
         motion = self.mechanism.update_motion(unknown, strain, state.motion, context, step)
-        residual = [heat, balance]
+        residual = [heat.ravel(), balance]
         if self._has_drag:
             residual.append((end[-1] - self._drag(first, last, memory, step))[None])
-        return jnp.concatenate(residual), State(
-            last.temperature, last.fractions, last.stress, end[wires:], motion, memory
-        )
+        return jnp.concatenate(residual), State(last.temperature, fractions, last.stress, end[heats:], motion, memory)
 
     def _end_of_step(
         self,
@@ -91,37 +89,42 @@ class StepEquations(PlantStages):
         prescribed: dict[str, Any],
         step: Float[Array, ""],
         end: Float[Array, " unknowns"],
-        share: Float[Array, " wires"] | None = None,
-    ) -> tuple[WireState, dict[str, Any]]:
-        """The wires at the end, with the contraction of the start, and the memory of heat and material effects.
+        share: Float[Array, "*grains wires"] | None = None,
+    ) -> tuple[WireState, Fractions, dict[str, Any]]:
+        """The wires at the end, with the contraction of the start, all fractions, and the memory without mechanism.
 
         Of the transformation only a ``share`` takes place, if it is given.
         """
-        temperature = end[: self.mechanism.wires]
+        temperature = end[: self.temperatures].reshape(self.temperature_shape)
         if "temperature" in prescribed:
             temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
         stress = self.mechanism.stress(unknown, prescribed, self._mechanism_context())
         if self._has_drag:
             stress = self.mechanism.with_drag(stress, end[-1])
-        fractions = self._evolve_fractions(first, temperature, stress)
+        fractions = self._evolve_fractions(first, state.fractions, temperature, stress)
         if share is not None:
-            fractions = Fractions(*(a + share * (b - a) for a, b in zip(first.fractions, fractions, strict=True)))
+            fractions = Fractions(*(a + share * (b - a) for a, b in zip(state.fractions, fractions, strict=True)))
         last = WireState(
-            first.time + step, temperature, fractions, stress, first.contraction, first.accumulated_transformation
+            first.time + step,
+            temperature,
+            self._mean_over_grains(fractions),
+            stress,
+            first.contraction,
+            first.accumulated_transformation,
         )
         last = self._in_surroundings(last, prescribed)
-        memory = dict(state.memory)
+        memory = dict(state.memory) | self._clamp_temperature(state.memory, first, last, step)
         if self.all_effects:
-            transformed = jnp.abs(fractions.martensite - first.fractions.martensite)
+            transformed = jnp.abs(last.fractions.martensite - first.fractions.martensite)
             last = last._replace(accumulated_transformation=first.accumulated_transformation + transformed)
             memory |= self._updated_memory((HeatEffect, MaterialEffect), memory, first, last, step)
-        return last, memory
+        return last, fractions, memory
 
     def _drag(
         self, first: WireState, last: WireState, memory: dict[str, Any], step: Float[Array, ""]
     ) -> Float[Array, ""]:
         """Stress in Pa with which all effects with a drag oppose the contraction at the end of a step."""
-        context = self._stage_context()
+        context, first, last = self._stage_context(), self._whole_wires(first), self._whole_wires(last)
         effects = [e for e in self._effects_of(MechanismEffect) if e.has_drag]
         total: Any = sum(
             checked_result(e, "drag", e.drag(first, last, memory[e.key], step, context), ()) for e in effects
@@ -130,20 +133,20 @@ class StepEquations(PlantStages):
 
     def _heat_residual(
         self,
+        state: State,
         first: WireState,
         last: WireState,
-        memory: dict[str, Any],
         memory_at_end: dict[str, Any],
         inputs: tuple[Any, ...],
         step: Float[Array, ""],
         coarse: bool,
-    ) -> Float[Array, " wires"]:
+    ) -> Float[Array, "*cells wires"]:
         """Residual of the heat balance in K, by the Hermite-Simpson (``smajax.plant.heat``) or the trapezoidal rule.
 
         Args:
-            first: The wires at the start of the step.
+            state: The state at the start of the step.
+            first: The wires there.
             last: The wires at the end.
-            memory: Memory of the effects at the start.
             memory_at_end: Memory of the effects at the end.
             inputs: Net heat at the start in W/m^3, and the signals at start and end.
             step: Duration, s.
@@ -157,14 +160,20 @@ class StepEquations(PlantStages):
         if coarse:
             return self.heat.trapezoidal_residual(ends, capacity, rates, stored, step)
         half = self.heat.midpoint_temperature(ends, capacity, rates, step)
-        middle = self._middle_of_step(first, last, half, step)
+        middle, memory = self._middle_of_step(state, first, last, half, step), state.memory
         memory_at_middle = memory | self._updated_memory((HeatEffect,), memory, first, middle, 0.5 * step)
+        memory_at_middle |= self._clamp_temperature(memory, first, middle, 0.5 * step)
         rates = (rates[0], self._net_heat(middle, memory_at_middle, 0.5 * (before + after)), rates[1])
         capacities = (capacity[0], self._heat_capacity(middle.fractions.martensite), capacity[1])
         return self.heat.residual(ends, capacities, rates, stored, step)
 
     def _middle_of_step(
-        self, first: WireState, last: WireState, temperature: Float[Array, " wires"], step: Float[Array, ""]
+        self,
+        state: State,
+        first: WireState,
+        last: WireState,
+        temperature: Float[Array, "*cells wires"],
+        step: Float[Array, ""],
     ) -> WireState:
         """The wires in the middle of a step, at a temperature and the mean stress of both ends."""
         stress = 0.5 * (first.stress + last.stress)
@@ -175,7 +184,7 @@ class StepEquations(PlantStages):
         return WireState(
             first.time + 0.5 * step,
             temperature,
-            self._evolve_fractions(first, temperature, stress),
+            self._mean_over_grains(self._evolve_fractions(first, state.fractions, temperature, stress)),
             stress,
             0.5 * (first.contraction + last.contraction),
             0.5 * (first.accumulated_transformation + last.accumulated_transformation),

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from smajax.numerics import newton
-from smajax.numerics.dense import solve_dense
+from smajax.numerics.dense import combine, solve_dense
 from smajax.numerics.derivative_order import nondifferentiable
 from smajax.plant.effects.base import MechanismEffect
 from smajax.plant.heat import PrescribedTemperature
@@ -60,7 +60,7 @@ class StepSolver(StepEquations):
         """Solve a step (``solve_step``); its derivatives are not those of the solution."""
         state = self._begin_step(state, step)
         rate = self._net_heat(self._wire_state(state), state.memory, before)
-        guess = jnp.concatenate([self._predicted_temperature(state, rate, after, step), state.unknown])
+        guess = jnp.concatenate([self._predicted_temperature(state, rate, after, step).ravel(), state.unknown])
         constants = (self, state, rate, before, after, step)
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
@@ -71,11 +71,12 @@ class StepSolver(StepEquations):
 
     def _predicted_temperature(
         self, state: State, rate: Float[Array, " wires"], after: Float[Array, " signals"], step: Float[Array, ""]
-    ) -> Float[Array, " wires"]:
+    ) -> Float[Array, "*cells wires"]:
         """First guess of the temperature at the end of a step: an explicit Euler step."""
         if isinstance(self.heat, PrescribedTemperature):
             return jnp.broadcast_to(self._prescribed_channels(after)["temperature"], state.temperature.shape)
-        return state.temperature + step * rate / self._heat_capacity(state.fractions.martensite)
+        martensite = self._mean_over_grains(state.fractions).martensite
+        return state.temperature + step * rate / self._heat_capacity(martensite)
 
     def _solve(
         self,
@@ -83,7 +84,7 @@ class StepSolver(StepEquations):
         guess: Float[Array, " unknowns"],
     ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
         """Solve ``residual(z, coarse) = 0`` from ``guess``: the solution, and whether the search failed."""
-        wires = self.mechanism.wires
+        wires = self.temperatures
 
         def solve_with_friction() -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
             # The last Newton step must not cross a nonsmooth point of the friction, so the search uses the exact
@@ -121,4 +122,4 @@ def newton_corrected(state: State, residual: Float[Array, " unknowns"], jacobian
     size = residual.shape[0]
     jacobian, state_per_unknown = jax.vmap(jacobian_product, out_axes=-1)(jnp.eye(size))
     change = -solve_dense(jacobian, residual)
-    return jax.tree.map(lambda s, d: s + sum(d[..., i] * change[i] for i in range(size)), state, state_per_unknown)
+    return jax.tree.map(lambda s, d: s + combine(d, change), state, state_per_unknown)

@@ -29,6 +29,11 @@ class AbstractWire(CheckedModule):
         return jnp.pi / 4 * self.diameter**2
 
     @property
+    def length_between_clamps(self) -> Float[Array, "..."]:
+        """Length of wire between two clamps, in m."""
+        return self.length
+
+    @property
     @abc.abstractmethod
     def force_per_stress(self) -> Float[Array, "..."]:
         """Force at the end over the stress of the material law, in m^2."""

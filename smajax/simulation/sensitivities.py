@@ -120,7 +120,7 @@ def _forward_sensitivities(
         """One step: tangents of its end and of the output there, from the tangent of its start."""
         start, end, step, step_tangent, signal, signal_tangent = row
         state = unflatten(end)
-        root = jnp.concatenate([state.temperature, state.unknown])
+        root = state.step_unknowns
 
         def residual(
             root: jax.Array, start: jax.Array, plant: Plant, step: tuple[Any, ...]

@@ -55,7 +55,7 @@ class Differential(NamedTuple):
         memory: States of the effects (``State.memory``).
     """
 
-    temperature: Float[Array, " wires"]
+    temperature: Float[Array, "*cells wires"]
     fractions: Fractions
     unknown: Float[Array, " unknowns"]
     motion: Any
@@ -183,11 +183,12 @@ def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
     problem = (plant, state, net_heat, signal, slope, share)
     rate = implicit_root(_rate_balance, _solve_rates, problem, "simulate")
     end = _rate_residual(rate, *problem)[1]
-    wires, modulus = plant.mechanism.wires, plant._mechanism_context().modulus
-    return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.motion, end.memory)
+    heats, modulus = plant.temperatures, plant._mechanism_context().modulus
+    temperature_rate = rate[:heats].reshape(plant.temperature_shape)
+    return Differential(temperature_rate, end.fractions, rate[heats:] / modulus, end.motion, end.memory)
 
 
-def _at_the_surface(plant: Plant, state: State) -> tuple[State, Float[Array, " wires"] | None]:
+def _at_the_surface(plant: Plant, state: State) -> tuple[State, Float[Array, "*grains wires"] | None]:
     """The state whose fractions satisfy the law, and the share of the rates of its fractions that counts.
 
     A law with driving forces (``AbstractMaterial.follows_surface``) has fractions on a surface while they change, which
@@ -197,19 +198,19 @@ def _at_the_surface(plant: Plant, state: State) -> tuple[State, Float[Array, " w
     """
     if not plant.material.follows_surface:
         return state, None
-    at_once = plant._evolve_fractions(plant._wire_state(state), state.temperature, state.stress)
+    at_once = plant._evolve_fractions(plant._wire_state(state), state.fractions, state.temperature, state.stress)
     beyond = minimum(jnp.abs(at_once.martensite - state.fractions.martensite) * (1.0 / _RAMP), 1.0)
     return state._replace(fractions=at_once), beyond**2 * (3.0 - 2.0 * beyond)
 
 
 def _solve_rates(plant: Plant, state: State, *terms: Any) -> Float[Array, " unknowns"]:
     """Rates of temperatures and unknowns, in K/s and Pa/s; NaN if the search failed."""
-    guess = jnp.concatenate([jnp.zeros_like(state.temperature), jnp.zeros_like(state.unknown)])
+    guess = jnp.zeros_like(state.step_unknowns)
 
     def residual(rate: jax.Array) -> jax.Array:
         return _rate_balance(rate, plant, state, *terms)
 
-    rate, failed = newton.solve(residual, guess, plant.mechanism.wires)
+    rate, failed = newton.solve(residual, guess, plant.temperatures)
     return newton.polish(residual, jnp.where(failed, jnp.nan, rate), _RATE_STEPS)
 
 
@@ -224,10 +225,10 @@ def _rate_residual(
     rate: Float[Array, " unknowns"],
     plant: Plant,
     state: State,
-    net_heat: Float[Array, " wires"],
+    net_heat: Float[Array, "*cells wires"],
     signal: Float[Array, " signals"],
     slope: Float[Array, " signals"],
-    share: Float[Array, " wires"] | None,
+    share: Float[Array, "*grains wires"] | None,
 ) -> tuple[Float[Array, " unknowns"], State]:
     """Residual of the heat balance in K/s and of the mechanism's in Pa/s, and the rates of the state.
 
@@ -240,18 +241,19 @@ def _rate_residual(
         slope: Their derivatives, per second.
         share: Shares of the rates of the fractions (``_at_the_surface``).
     """
-    first, wires = plant._wire_state(state), plant.mechanism.wires
+    first, heats = plant._wire_state(state), plant.temperatures
     first = plant._in_surroundings(first, plant._prescribed_channels(signal))
-    start = jnp.concatenate([state.temperature, state.unknown])
+    start = state.step_unknowns
     (balance, stored, end) = jax.jvp(
         lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h, share),
         (jnp.asarray(_INCREMENT),),
         (jnp.ones(()),),
     )[1]
     if isinstance(plant.heat, PrescribedTemperature):
-        heat = rate[:wires] - plant._prescribed_channels(slope)["temperature"]
+        heat = rate[:heats] - plant._prescribed_channels(slope)["temperature"]
     else:
-        heat = rate[:wires] - (net_heat - stored) / plant._heat_capacity(first.fractions.martensite)
+        warming = (net_heat - stored) / plant._heat_capacity(first.fractions.martensite)
+        heat = rate[:heats] - warming.ravel()
     return jnp.concatenate([heat, balance]), end
 
 
@@ -261,13 +263,13 @@ def _increment(
     first: WireState,
     ends: tuple[Any, ...],
     step: Float[Array, ""],
-    share: Float[Array, " wires"] | None,
-) -> tuple[Float[Array, " balances"], Float[Array, " wires"], State]:
+    share: Float[Array, "*grains wires"] | None,
+) -> tuple[Float[Array, " balances"], Float[Array, "*cells wires"], State]:
     """Balance, stored heat and state after an increment to signals and unknowns; the terms of ``_residual``."""
     signal, end = ends
     mechanism, context = plant.mechanism, plant._mechanism_context()
-    prescribed, unknown = plant._prescribed_channels(signal), end[mechanism.wires :]
-    last, memory = plant._end_of_step(state, first, unknown, prescribed, step, end, share)
+    prescribed, unknown = plant._prescribed_channels(signal), end[plant.temperatures :]
+    last, fractions, memory = plant._end_of_step(state, first, unknown, prescribed, step, end, share)
     strain = plant._strain(last, memory)
     if plant.all_effects:
         last = last._replace(contraction=mechanism.contraction(strain))
@@ -276,7 +278,7 @@ def _increment(
     motion = jax.tree.map(lambda m, rate: m + step * rate, state.motion, mechanism.motion_rates(state.motion))
     balance = mechanism.balance_at_motion(unknown, strain, motion, prescribed, context)
     stored = jnp.zeros_like(last.temperature) + plant._stored_heat(first, last)
-    return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, motion, memory)
+    return balance, stored, State(last.temperature, fractions, last.stress, unknown, motion, memory)
 
 
 def _signal_at(inputs: Inputs, t: Any) -> tuple[Float[Array, " signals"], Float[Array, " signals"]]:

@@ -12,6 +12,7 @@ of any shape.
 """
 
 import abc
+import math
 from dataclasses import KW_ONLY
 from typing import Any, ClassVar, NamedTuple
 
@@ -27,6 +28,13 @@ from smajax.parameters import CheckedModule, parameter
 # over a step, rounding would otherwise select the branch, possibly another one for the derivative than for the value.
 # Far above rounding (1e-16), far below any effect on a fraction.
 NO_PROGRESS = 1e-12
+
+
+# Standard deviation sqrt(1/4 - 2/pi^2) of cosine kinetics, whose rate over the progress is pi/2 sin(pi p).
+COSINE_DEVIATION = math.sqrt(0.25 - 2.0 / math.pi**2)
+# Least-squares fit to the rate in the middle of normally distributed grains with cosine kinetics, with an error below
+# 3e-4; tests/unit/plant/test_grains.py computes it by quadrature.
+COSINE_TANGENT_FACTOR = (0.2576225, 0.16020331, -0.43259304, 0.18204334)
 
 
 class Fractions(NamedTuple):
@@ -62,10 +70,16 @@ class AbstractMaterial(CheckedModule):
             "has"; empty if there are rates.
         follows_surface: Whether the fractions change only while a driving force is at its threshold, so that they stay
             on that surface; otherwise the direction of temperature and stress decides.
+        band_deviation: Standard deviation of a complete transformation over the temperature, over its width; by default
+            that of cosine kinetics.
+        tangent_factor: Coefficients of the powers of phi^2 in c(phi) - 1 (``smajax.plant.grains``); by default those of
+            cosine kinetics.
     """
 
     obstacle_to_rates: ClassVar[str] = ""
     follows_surface: ClassVar[bool] = False
+    band_deviation: ClassVar[float] = COSINE_DEVIATION
+    tangent_factor: ClassVar[tuple[float, ...]] = COSINE_TANGENT_FACTOR
     _: KW_ONLY
     martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
     martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
@@ -96,6 +110,23 @@ class AbstractMaterial(CheckedModule):
         scaled = (factor * self.modulus_austenite, factor * self.modulus_martensite)
         # Not a constructor: the modulus of a geometry may be beyond the bounds of Young's modulus.
         return eqx.tree_at(lambda law: (law.modulus_austenite, law.modulus_martensite), self, scaled)
+
+    def with_bands(self, reverse: tuple[Any, Any], forward: tuple[Any, Any]) -> "AbstractMaterial":
+        """Return the law of a grain, whose transformations are shifted and narrower (``smajax.plant.grains``).
+
+        Args:
+            reverse: Shift of the middle between A_s and A_f, and distance of the two, both over the distance of this
+                law.
+            forward: The same for M_f and M_s.
+        """
+        return eqx.tree_at(
+            lambda law: (law.austenite_start, law.austenite_finish, law.martensite_finish, law.martensite_start),
+            self,
+            (
+                *_band_ends(self.austenite_start, self.austenite_finish, *reverse),
+                *_band_ends(self.martensite_finish, self.martensite_start, *forward),
+            ),
+        )
 
     @abc.abstractmethod
     def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
@@ -176,6 +207,14 @@ class AbstractMaterial(CheckedModule):
         """
         detwinned = clip(strain / self.max_transformation_strain, 0.0, 1.0)
         return Fractions(detwinned, 1.0 - detwinned)
+
+
+def _band_ends(
+    low: jax.Array, high: jax.Array, shift: jax.Array | float, width: jax.Array | float
+) -> tuple[jax.Array, jax.Array]:
+    """The ends of a band after a shift of its middle and with a new width, both over its present width."""
+    middle, present = 0.5 * (low + high), high - low
+    return middle + (shift - 0.5 * width) * present, middle + (shift + 0.5 * width) * present
 
 
 def mix(

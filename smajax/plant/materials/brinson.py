@@ -49,6 +49,27 @@ class Brinson(AbstractMaterial):
     )
     smoothing: float = eqx.field(static=True, default=DEFAULT_SMOOTHING)
 
+    def with_bands(self, reverse: tuple[Any, Any], forward: tuple[Any, Any]) -> "Brinson":
+        """Return the law of a grain: above M_s its detwinning band is shifted and narrower like its twinning band.
+
+        Args:
+            reverse: Shift of the middle between A_s and A_f, and distance of the two, both over the distance of this
+                law.
+            forward: The same for M_f and M_s, and for the critical stresses at a temperature above M_s.
+        """
+        grain = super().with_bands(reverse, forward)
+        shift, width = forward
+        stresses = self.detwinning_start_stress, self.detwinning_finish_stress
+        band = stresses[1] - stresses[0]
+        # Above M_s the critical stresses rise by C_M (T - M_s), with the M_s of the grain.
+        rise = self.clausius_clapeyron_martensite * (grain.martensite_start - self.martensite_start)
+        middle = 0.5 * (stresses[0] + stresses[1]) + rise - shift * band
+        return eqx.tree_at(
+            lambda law: (law.detwinning_start_stress, law.detwinning_finish_stress),
+            grain,
+            (middle - 0.5 * width * band, middle + 0.5 * width * band),
+        )
+
     def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
         """Advance the fractions over a step: the reverse branch first, then the two forward branches, which commute.
 

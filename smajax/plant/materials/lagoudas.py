@@ -36,7 +36,7 @@ Source: lagoudas2012; boyd1996 for the polynomial hardening.
 """
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,12 @@ _HIGHEST_STRESS = 1e10
 _OUT_OF_REACH = 2.0
 
 
+# Standard deviation of linear hardening, whose rate over the progress is 1, over the width of the transformation.
+LINEAR_DEVIATION = math.sqrt(1.0 / 12.0)
+# As ``COSINE_TANGENT_FACTOR``, for linear hardening, with an error below 3e-3. Smaller exponents n1 to n4 are between.
+LINEAR_TANGENT_FACTOR = (0.44744345, 1.12406075, -2.15164251, 0.96579463)
+
+
 class Lagoudas(AbstractMaterial):
     """Lagoudas' law: smooth hardening, and a transformation strain that increases with the stress.
 
@@ -69,6 +75,8 @@ class Lagoudas(AbstractMaterial):
     """
 
     follows_surface = True
+    band_deviation: ClassVar[float] = LINEAR_DEVIATION
+    tangent_factor: ClassVar[tuple[float, ...]] = LINEAR_TANGENT_FACTOR
     min_strain_share: jax.Array = parameter(
         "1", "share of the largest strain that low stress makes, H_min / H_sat", 0.0, 1.0, 1.0
     )

@@ -1,0 +1,173 @@
+"""Cells along the wire: heat conduction along it, and clamps at both ends.
+
+    C_i dT_i/dt = joule_i - (4 / d) h_i(T_i) (T_i - T_ambient) + (q_(i+1) - q_i) / l_i
+    q_i = k (T_i - T_(i-1)) / d_i        C_c dT_c/dt = a q_1 - G_c (T_c - T_ambient)
+
+with the length l_i of cell i and the distance d_i between the middles of neighbouring cells. The heat flow q_i goes
+towards the clamp; k is the thermal conductivity of the alloy. The clamp comes before cell 1, with the temperature T_c,
+the heat capacity C_c and the conductance G_c to the surroundings; a is the cross-section of one wire. With a large
+conductance the clamp stays at ambient temperature. Both clamps are equal, so half of the wire is simulated, from a
+clamp to the middle, where no heat flows. The stress is equal along the wire, its strain is the mean over the cells by
+their lengths, and its resistance is the sum of theirs.
+
+The cells are graded by the fin length sqrt(k d / (4 h)), the distance over which a cold end is felt: with m cells in
+the half wire and r half its length over the fin length, boundary i is at sinh(i / m asinh(r)) / r of the half wire.
+
+Source: incropera2007, sections 3.6 (fins) and 4.4 (finite volumes).
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.parameters import CheckedModule, parameter
+from smajax.plant.effects.memory import first_order_lag
+from smajax.plant.heat import AbstractHeat
+from smajax.plant.wire import AbstractWire, Environment
+
+
+class Cells(CheckedModule):
+    """Cells along each wire, with heat conduction between them and into the clamps.
+
+    Attributes:
+        count: Number of cells over the whole wire, at least 2.
+    """
+
+    conductivity: jax.Array = parameter("W/m/K", "thermal conductivity along the wire", 1e-3, 1e3, 18.0)
+    clamp_conductance: jax.Array = parameter("W/K", "conductance from one clamp to the surroundings", 1e-6, 1e3, 0.1)
+    clamp_capacity: jax.Array = parameter("J/K", "heat capacity of one clamp", 1e-6, 1e4, 1.0)
+    uneven_convection: jax.Array = parameter(
+        "1",
+        "excess of the convection at the ends over its mean, as a share; the middle has as much less",
+        -0.9,
+        0.9,
+        0.0,
+    )
+    thermocouple_place: jax.Array = parameter(
+        "1", "distance of a thermocouple from one clamp, as a share of the length", 0.0, 1.0, 0.5
+    )
+    count: int = eqx.field(static=True, default=9)
+
+    @property
+    def simulated(self) -> int:
+        """Number of cells that are simulated: those of half the wire, with half of the middle one."""
+        return (self.count + 1) // 2
+
+    def boundaries(self, wire: AbstractWire, heat: AbstractHeat, environment: Environment) -> Float[Array, " ends"]:
+        """Compute the boundaries of the simulated cells, from the clamp at 0 to the middle of the wire.
+
+        Args:
+            wire: The wire.
+            heat: The heat stage; its conductance at ambient temperature gives the fin length.
+            environment: Surroundings of the wire.
+
+        Returns:
+            Distances from the clamp in m, shape ``(simulated + 1,)``. With an odd number of cells the last one is half
+            of the middle cell.
+        """
+        half = 0.5 * wire.length_between_clamps
+        ratio = half / jnp.sqrt(self.conductivity / heat.conductance(environment.ambient, wire))
+        # In an odd number of cells the middle one counts half.
+        place = jnp.minimum(jnp.arange(self.simulated + 1) / (0.5 * self.count), 1.0)
+        return half * jnp.sinh(place * jnp.arcsinh(ratio)) / ratio
+
+    def shares(self, wire: AbstractWire, heat: AbstractHeat, environment: Environment) -> Float[Array, " cells"]:
+        """Compute the shares of the simulated cells in the length of the wire, which add up to 1.
+
+        Args:
+            wire: The wire.
+            heat: The heat stage.
+            environment: Surroundings of the wire.
+        """
+        return jnp.diff(self.boundaries(wire, heat, environment)) / (0.5 * wire.length_between_clamps)
+
+    def convection_factors(self, boundaries: Float[Array, " ends"]) -> Float[Array, " cells"]:
+        """Compute the convection coefficient of each cell over that of h(T): 1 + u cos(2 pi x / L), averaged over it.
+
+        Args:
+            boundaries: Boundaries of the cells, m.
+        """
+        angle = jnp.pi * boundaries / boundaries[-1]
+        return 1.0 + self.uneven_convection * jnp.diff(jnp.sin(angle)) / jnp.diff(angle)
+
+    def net_heat(
+        self,
+        temperature: Float[Array, "cells wires"],
+        clamp: Float[Array, " wires"],
+        wire: AbstractWire,
+        heat: AbstractHeat,
+        environment: Environment,
+    ) -> Float[Array, "cells wires"]:
+        """Compute the heat that conduction brings into each cell, and the difference of its convection from the mean.
+
+        Args:
+            temperature: Temperatures of the cells, degC.
+            clamp: Temperature of the clamps, degC.
+            wire: The wire.
+            heat: The heat stage.
+            environment: Surroundings of the wire.
+
+        Returns:
+            Heat per volume, W/m^3.
+        """
+        boundaries = self.boundaries(wire, heat, environment)
+        length = jnp.diff(boundaries)
+        distance = jnp.diff(self._middles(boundaries), prepend=0.0)
+        rise = jnp.diff(temperature, axis=0, prepend=clamp[None])
+        flow = self.conductivity * rise / distance[:, None]  # towards the clamp, W/m^2
+        inflow = jnp.concatenate([flow[1:], jnp.zeros_like(flow[:1])]) - flow
+        uneven = (self.convection_factors(boundaries) - 1.0)[:, None] * heat.conductance(temperature, wire)
+        return inflow / length[:, None] - uneven * (temperature - environment.ambient)
+
+    def clamp_temperature(
+        self,
+        clamp: Float[Array, " wires"],
+        ends: tuple[Any, Any],
+        ambient: tuple[Any, Any],
+        step: Float[Array, ""],
+        wire: AbstractWire,
+        heat: AbstractHeat,
+        environment: Environment,
+    ) -> Float[Array, " wires"]:
+        """Compute the temperature of the clamps after a step in which their surroundings change linearly.
+
+        Args:
+            clamp: Temperature of the clamps at the start, degC.
+            ends: Temperatures of the cells next to them, at start and end, degC.
+            ambient: Temperature of the surroundings at start and end, degC.
+            step: Duration, s.
+            wire: The wire.
+            heat: The heat stage.
+            environment: Surroundings of the wire.
+
+        Returns:
+            Temperature of the clamps at the end, degC.
+        """
+        distance = 0.5 * self.boundaries(wire, heat, environment)[1]
+        conductance = self.conductivity * jnp.pi / 4 * wire.diameter**2 / distance
+        total = conductance + self.clamp_conductance
+        first, last = (
+            (conductance * end + self.clamp_conductance * at) / total for end, at in zip(ends, ambient, strict=True)
+        )
+        return first_order_lag(clamp, first, last, step, self.clamp_capacity / total)
+
+    def reading(
+        self, temperature: Float[Array, "cells wires"], boundaries: Float[Array, " ends"]
+    ) -> Float[Array, " wires"]:
+        """Compute the temperature at the place of the thermocouple, linear between the middles of the cells.
+
+        Args:
+            temperature: Temperatures of the cells, degC.
+            boundaries: Boundaries of the cells, m.
+        """
+        place = jnp.minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
+        at, middles = 2.0 * place * boundaries[-1], self._middles(boundaries)
+        return jax.vmap(lambda along: jnp.interp(at, middles, along), in_axes=1)(temperature)
+
+    def _middles(self, boundaries: jax.Array) -> jax.Array:
+        """Distances of the middles of the cells from the clamp; that of an odd number of cells is at half the wire."""
+        middles = 0.5 * (boundaries[1:] + boundaries[:-1])
+        return middles.at[-1].set(boundaries[-1]) if self.count % 2 else middles
