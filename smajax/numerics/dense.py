@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 # Number of equations up to which elimination by scalars compiles fast; chosen by trial.
-_UNROLLED = 5
+_UNROLLED = 4
 
 
 def solve_dense(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -26,7 +26,7 @@ def solve_dense(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float
     """
     size = right.shape[0]
     if size > _UNROLLED:
-        return _solve_by_rows(matrix, right)
+        return _eliminate(jnp.concatenate([matrix, right[:, None]], axis=1))[:, -1]
     rows = [[matrix[i, j] for j in range(size)] + [right[i]] for i in range(size)]
     for k in range(size):
         for i in range(k + 1, size):
@@ -38,15 +38,27 @@ def solve_dense(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float
     return jnp.stack(solution)
 
 
-def _solve_by_rows(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve a system by Gauss-Jordan elimination without pivoting, one vector operation for each unknown."""
-    table = jnp.concatenate([matrix, right[:, None]], axis=1)
-    rows = jnp.arange(right.shape[0])
-    for k in range(right.shape[0]):
+def _eliminate(table: jax.Array) -> jax.Array:
+    """Gauss-Jordan elimination without pivoting of the columns of unknowns in front of those of right-hand sides."""
+    size = table.shape[0]
+    rows = jnp.arange(size)
+
+    def eliminate(k: jax.Array, table: jax.Array) -> jax.Array:
         pivot = table[k] / table[k, k]
         factor = jnp.where(rows == k, 0.0, table[:, k])
-        table = jnp.where((rows == k)[:, None], pivot, table - factor[:, None] * pivot)
-    return table[:, -1]
+        return jnp.where((rows == k)[:, None], pivot, table - factor[:, None] * pivot)
+
+    return jax.lax.fori_loop(0, size, eliminate, table)
+
+
+def inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Compute the inverse of a matrix as ``solve_dense`` would, for several right-hand sides.
+
+    Args:
+        matrix: The matrix.
+    """
+    size = matrix.shape[0]
+    return _eliminate(jnp.concatenate([matrix, jnp.eye(size)], axis=1))[:, size:]
 
 
 def combine(columns: Float[Array, "*shape n"], weights: Float[Array, " n"]) -> Float[Array, "*shape"]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.numerics.dense import combine, solve_dense
+from smajax.numerics.dense import combine, inverse, solve_dense
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 
 
@@ -53,6 +53,30 @@ def implicit_jvp(
     residual, state = jvp(lambda *primals: step_residual(end, *primals), primals, tangents)
     change = solve_dense(jacobian, residual)
     return state - combine(state_per_unknown, change)
+
+
+def implicit_jvp_with(
+    jacobian: Float[Array, "unknowns unknowns"],
+    step_residual: Callable[..., Any],
+    end: Float[Array, " unknowns"],
+    primals: tuple[Any, ...],
+    tangents: tuple[Any, ...],
+) -> Float[Array, " entries"]:
+    """Compute ``implicit_jvp`` with a given Jacobian dr/dz: by one tangent each of the residual and of the state.
+
+    Args:
+        jacobian: The Jacobian at the solution, shape ``(unknowns, unknowns)``.
+        step_residual: As in ``implicit_jvp``.
+        end: The solution z, shape ``(unknowns,)``.
+        primals: The other arguments p.
+        tangents: Tangents of ``primals``, with ``None`` for zero.
+
+    Returns:
+        The tangent of the flat state.
+    """
+    residual = jvp(lambda *primals: step_residual(end, *primals)[0], primals, tangents)
+    change = -(inverse(jacobian) @ residual)
+    return jvp(lambda *arguments: step_residual(*arguments)[1], (end, *primals), (change, *tangents))
 
 
 @eqx.filter_custom_jvp

@@ -13,7 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from smajax.channels import numbered
 from smajax.plant.cells import Cells
@@ -180,6 +180,11 @@ class PlantStages(eqx.Module):
 
     # Cells and grains.
 
+    @property
+    def _always(self) -> Bool[Array, ""]:
+        """A condition that holds (``separately``): a parameter that is hardly ever fitted is within its bounds."""
+        return self.environment.gravity >= 0.0
+
     def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
         """The mean of a quantity of the cells over the length of each wire."""
         if self.cells is None:
@@ -213,6 +218,25 @@ class PlantStages(eqx.Module):
         return jax.vmap(lambda quantile, value: function(grains.material_of(material, quantile), value))(
             jnp.asarray(grains.quantiles), values
         )
+
+    def _evolve(
+        self, material: AbstractMaterial, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]
+    ) -> Fractions:
+        """The fractions of all grains after a step of the material law."""
+        if self.grains is None:
+            return material.evolve(fractions, temperature, stress)
+        # One axis for grains, cells and wires, since the compiler makes a loop over each axis.
+        grains, shape = self.grains, fractions.detwinned.shape
+
+        def one(values: Float[Array, "..."]) -> Float[Array, " elements"]:
+            return jnp.broadcast_to(values, shape).ravel()
+
+        quantiles = one(jnp.reshape(grains.quantiles, (-1, *(1,) * (len(shape) - 1))))
+        elements = [Fractions(*map(one, fractions)), *(tuple(map(one, pair)) for pair in (temperature, stress))]
+        evolved = jax.vmap(lambda quantile, *values: grains.material_of(material, quantile).evolve(*values))(
+            quantiles, *elements
+        )
+        return Fractions(*(part.reshape(shape) for part in evolved))
 
     def _each_cell(self, hook: Callable[..., Any], *arguments: Any) -> Any:
         """Call a hook of an effect on heat or material, for which each cell is a wire."""
@@ -332,7 +356,7 @@ class PlantStages(eqx.Module):
             )
         temperatures = first.temperature - shift, temperature - shift
         stresses = tuple(jnp.broadcast_to(s, temperature.shape) for s in (first.stress, stress))
-        evolved = self._each_grain(lambda law, before: law.evolve(before, temperatures, stresses), material, fractions)
+        evolved = self._evolve(material, fractions, temperatures, stresses)
         for e in self._effects_of(MaterialEffect):
             modify = functools.partial(self._each_cell, e.modify_fractions)
             changed = (modify if self.grains is None else jax.vmap(modify))(fractions, evolved)

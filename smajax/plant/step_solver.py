@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from smajax.numerics import newton
 from smajax.numerics.dense import combine, solve_dense
 from smajax.numerics.derivative_order import nondifferentiable
+from smajax.numerics.separate import separately
 from smajax.plant.effects.base import MechanismEffect
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.state import State
@@ -65,7 +66,13 @@ class StepSolver(StepEquations):
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
-            end, failed = self._solve(lambda z, coarse: StepSolver._residual(*constants, z, coarse=coarse)[0], guess)
+            local = self.cells is not None
+            end, failed = self._solve(
+                lambda z, coarse: StepSolver._residual(*constants, z, coarse=coarse, local=local)[0], guess
+            )
+        if self.cells is not None:
+            end = end + newton.newton_step(lambda z: StepSolver._residual(*constants, z, local=True)[0], end)[2]
+            return separately(self._always, lambda z: StepSolver._residual(*constants, z)[1], end), failed
         (residual, state_at_end), jacobian_product = jax.linearize(lambda z: StepSolver._residual(*constants, z), end)
         return newton_corrected(state_at_end, residual, jacobian_product), failed
 

@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
-from smajax.numerics.implicit_differentiation import implicit_jvp, jvp
+from smajax.numerics.implicit_differentiation import implicit_jvp, implicit_jvp_with, jvp
 from smajax.plant.plant import Plant
 from smajax.simulation.compilation import (
     BLOCK,
@@ -128,7 +128,12 @@ def _forward_sensitivities(
             balances, state = traced_step_residual(plant, unflatten(start), *step, root)
             return balances, ravel_pytree(state)[0]
 
-        end_tangent = implicit_jvp(residual, root, (start, plant, step), (tangent, plant_tangent, step_tangent))
+        primals, tangents = (start, plant, step), (tangent, plant_tangent, step_tangent)
+        if plant.cells is None:
+            end_tangent = implicit_jvp(residual, root, primals, tangents)
+        else:
+            jacobian = jax.lax.stop_gradient(plant.step_jacobian(unflatten(start), *step, root))
+            end_tangent = implicit_jvp_with(jacobian, residual, root, primals, tangents)
         return end_tangent, jvp(output, (plant, end, signal), (plant_tangent, end_tangent, signal_tangent))
 
     step, step_tangents, signal_tangents = _step_rows(inputs, input_tangents)
