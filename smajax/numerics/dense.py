@@ -46,7 +46,7 @@ def _eliminate(table: jax.Array) -> jax.Array:
     def eliminate(k: jax.Array, table: jax.Array) -> jax.Array:
         pivot = table[k] / table[k, k]
         factor = jnp.where(rows == k, 0.0, table[:, k])
-        return jnp.where((rows == k)[:, None], pivot, table - factor[:, None] * pivot)
+        return jnp.where((rows == k)[:, None], pivot[None], table - factor[:, None] * pivot[None])
 
     return jax.lax.fori_loop(0, size, eliminate, table)
 

@@ -63,7 +63,9 @@ class Plant(StepSolver):
         unknown = self.mechanism.initial_unknowns(prescribed, context)
         stress = self.mechanism.stress(unknown, prescribed, context)
         mean = self._mean_over_grains(fractions)
-        strain = self._along_wire(self.effective_material.strain(mean, temperature, stress, self.environment.ambient))
+        strain = self._along_wire(
+            self.effective_material.strain(mean, temperature, self._per_cell(stress), self.environment.ambient)
+        )
         if self._has_drag:
             unknown = jnp.append(unknown, 0.0)
         memory: dict[str, Any] = {}

@@ -190,7 +190,11 @@ class PlantStages(eqx.Module):
         if self.cells is None:
             return values
         shares = self.cells.shares(self.wire, self.heat, self.environment)
-        return jnp.sum(shares[:, None] * values, axis=0)
+        return shares @ values
+
+    def _per_cell(self, values: Float[Array, " wires"]) -> Float[Array, "*cells wires"]:
+        """A quantity that is equal along each wire, for all its cells."""
+        return values if self.cells is None else jnp.broadcast_to(values, self.temperature_shape)
 
     def _mean_over_grains(self, fractions: Fractions) -> Fractions:
         """The fractions of the cells: the mean of those of their grains."""
@@ -229,9 +233,10 @@ class PlantStages(eqx.Module):
         grains, shape = self.grains, fractions.detwinned.shape
 
         def one(values: Float[Array, "..."]) -> Float[Array, " elements"]:
-            return jnp.broadcast_to(values, shape).ravel()
+            axes = (1,) * (len(shape) - values.ndim)
+            return jnp.broadcast_to(values.reshape(axes + values.shape), shape).ravel()
 
-        quantiles = one(jnp.reshape(grains.quantiles, (-1, *(1,) * (len(shape) - 1))))
+        quantiles = one(jnp.asarray(grains.quantiles).reshape(-1, *(1,) * (len(shape) - 1)))
         elements = [Fractions(*map(one, fractions)), *(tuple(map(one, pair)) for pair in (temperature, stress))]
         evolved = jax.vmap(lambda quantile, *values: grains.material_of(material, quantile).evolve(*values))(
             quantiles, *elements
@@ -242,7 +247,8 @@ class PlantStages(eqx.Module):
         """Call a hook of an effect on heat or material, for which each cell is a wire."""
         if self.cells is None:
             return hook(*arguments)
-        return jax.vmap(hook, in_axes=tuple(map(_cell_axes, arguments)))(*arguments)
+        axes = tuple(map(_cell_axes, arguments))
+        return jax.vmap(hook, in_axes=axes, axis_size=self.cells.simulated)(*arguments)
 
     def _hook(self, effect: AbstractEffect, name: str) -> Callable[..., Any]:
         """A hook of an effect: of one on heat or material for each cell, of all others for the whole wires."""
@@ -328,9 +334,9 @@ class PlantStages(eqx.Module):
     def _strain(self, wire_state: WireState, memory: dict[str, Any]) -> Float[Array, " wires"]:
         """The strains of the wires, means over their lengths."""
         context = self._stage_context()
-        base = context.material.strain(
-            wire_state.fractions, wire_state.temperature, wire_state.stress, self.environment.ambient
-        )
+        temperature = wire_state.temperature
+        stress = self._per_cell(wire_state.stress)
+        base = context.material.strain(wire_state.fractions, temperature, stress, self.environment.ambient)
         strain = base + sum(
             checked_result(
                 e, "strain", self._each_cell(e.strain, wire_state, memory[e.key], context), base.shape, "wires"
@@ -355,7 +361,7 @@ class PlantStages(eqx.Module):
                 e, "shift", self._each_cell(e.shift, first, context), temperature.shape, "wires"
             )
         temperatures = first.temperature - shift, temperature - shift
-        stresses = tuple(jnp.broadcast_to(s, temperature.shape) for s in (first.stress, stress))
+        stresses = self._per_cell(first.stress), self._per_cell(stress)
         evolved = self._evolve(material, fractions, temperatures, stresses)
         for e in self._effects_of(MaterialEffect):
             modify = functools.partial(self._each_cell, e.modify_fractions)
@@ -385,7 +391,7 @@ class PlantStages(eqx.Module):
         mean = self._along_wire(resistivity)
         joule = self.drive.joule(self._electrical_input(signal, mean), mean, self.wire)
         if self.cells is not None:
-            joule = joule * (resistivity / mean)  # one current, and each cell has its resistivity
+            joule = self._per_cell(joule / mean) * resistivity  # one current through cells of different resistivity
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, context.environment)
         if self.cells is not None:
             parts = self.wire, self.heat, context.environment

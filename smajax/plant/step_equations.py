@@ -252,7 +252,7 @@ class StepEquations(PlantStages):
             return value, tangent(ones(temperature), zeros(stress)), tangent(*by_stress) if has_unknown else no_slope
 
         value, by_temperature, by_stress = jax.lax.stop_gradient(separately(self._always, with_slopes, *at))
-        moved = temperature - at[0], stress - at[1]
+        moved = temperature - at[0], self._per_cell(stress - at[1])
         return Fractions(
             *(v + t * moved[0] + s * moved[1] for v, t, s in zip(value, by_temperature, by_stress, strict=True))
         )

@@ -77,7 +77,7 @@ class StepSolver(StepEquations):
         return newton_corrected(state_at_end, residual, jacobian_product), failed
 
     def _predicted_temperature(
-        self, state: State, rate: Float[Array, " wires"], after: Float[Array, " signals"], step: Float[Array, ""]
+        self, state: State, rate: Float[Array, "*cells wires"], after: Float[Array, " signals"], step: Float[Array, ""]
     ) -> Float[Array, "*cells wires"]:
         """First guess of the temperature at the end of a step: an explicit Euler step."""
         if isinstance(self.heat, PrescribedTemperature):

@@ -1,0 +1,105 @@
+"""Grains: their spread about the transformation temperatures of the whole wire, and partial loops."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from smajax.plant.grains import Grains
+from smajax.plant.materials.base import COSINE_DEVIATION, COSINE_TANGENT_FACTOR
+from smajax.plant.materials.lagoudas import LINEAR_DEVIATION, LINEAR_TANGENT_FACTOR
+from smajax.plant.materials.registry import MATERIALS
+from smajax.plant.mechanisms.stress_path import StressPath
+from smajax.simulation.inputs import discretise
+from smajax.simulation.run import simulate
+from tests.support import plants
+
+STRESS = 150e6
+# Rates over the progress of a transformation from 0 to 1.
+RATES = {
+    "cosine": (lambda p: 0.5 * np.pi * np.sin(np.pi * p), COSINE_DEVIATION, COSINE_TANGENT_FACTOR, 3e-4),
+    "linear": (lambda p: 1.0, LINEAR_DEVIATION, LINEAR_TANGENT_FACTOR, 3e-3),
+}
+
+
+def cycle(temperatures: np.ndarray, grains: Grains | None, law: str = "brinson") -> np.ndarray:
+    """Transformation strain along a path of temperatures under a constant stress."""
+    values = {n: v for n, v in plants.MATERIAL.items() if law == "brinson" or not n.startswith("detwinning")}
+    values |= {"modulus_martensite": 31.5e9, "thermal_expansion_austenite": 0.0, "thermal_expansion_martensite": 0.0}
+    plant = dataclasses.replace(plants.stress_path(), material=MATERIALS[law](**values), grains=grains)
+    assert isinstance(plant.mechanism, StressPath)
+    recording = plants.recording({"temperature": temperatures, "stress": np.full(len(temperatures), STRESS)})
+    return np.asarray(simulate(plant, discretise(plant, recording)).channels["strain"])
+
+
+def tangents(temperature: np.ndarray, strain: np.ndarray) -> tuple[float, float]:
+    """Temperatures at which the steepest tangent of a branch meets its lowest and its highest strain."""
+    slope = np.gradient(strain, temperature)
+    k = int(np.argmax(np.abs(slope)))
+    meets = [temperature[k] + (level - strain[k]) / slope[k] for level in (strain.max(), strain.min())]
+    return min(meets), max(meets)
+
+
+@pytest.mark.parametrize("form", RATES)
+def test_the_factor_keeps_the_steepest_tangent(form):
+    rate, deviation, coefficients, error = RATES[form]
+    assert deviation == pytest.approx(np.sqrt(integrate.quad(lambda p: rate(p) * (p - 0.5) ** 2, 0.0, 1.0)[0]))
+    for spread in (0.1, 0.3, 0.5, 0.7, 0.9, 0.95):
+        width = np.sqrt(1.0 - spread**2)
+
+        def density(z: float, width: float = width, spread: float = spread) -> float:
+            progress = 0.5 + spread * deviation * z / width
+            return stats.norm.pdf(z) * rate(progress) / width
+
+        reach = min(0.5 * width / (spread * deviation), 12.0)
+        exact = integrate.quad(density, -reach, reach)[0] / rate(0.5)
+        fitted = 1.0 + sum(c * spread ** (2 * i) for i, c in enumerate(coefficients, 1))
+        assert fitted == pytest.approx(exact, abs=error)
+
+
+@pytest.mark.parametrize("law", ["brinson", "lagoudas", "liang-rogers"])
+def test_tangents_of_a_simulated_cycle_do_not_depend_on_the_spread(law):
+    up = np.linspace(40.0, 140.0, 1001)
+    path = np.concatenate([up, up[::-1]])
+    for spreads in ((0.5, 0.5), (0.8, 0.4)):
+        one, many = (cycle(path, g, law) for g in (None, Grains(*map(jnp.asarray, spreads), count=24)))
+        assert np.ptp(many) == pytest.approx(np.ptp(one), rel=1e-6)
+        for half in (slice(0, 1001), slice(1001, None)):
+            branches = [tangents(path[half], strain[half]) for strain in (one, many)]
+            band = branches[0][1] - branches[0][0]
+            np.testing.assert_allclose(branches[1], branches[0], atol=0.04 * band)
+
+
+def test_grains_converge_and_change_nothing_without_a_spread():
+    path = np.concatenate([np.linspace(40.0, 140.0, 501), np.linspace(140.0, 40.0, 501)])
+    none = Grains(jnp.asarray(0.0), jnp.asarray(0.0), count=6)
+    np.testing.assert_allclose(cycle(path, none), cycle(path, None), atol=1e-12)
+    curves = [cycle(path, Grains(count=count)) for count in (3, 6, 12, 48)]
+    errors = [float(np.sqrt(np.mean((curve - curves[-1]) ** 2))) for curve in curves[:-1]]
+    assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
+    assert errors[1] < 0.005 * np.ptp(curves[-1])
+
+
+def test_minor_loops_close_better_with_a_larger_spread():
+    """The law of one grain transforms further at each equal excursion of the temperature; a narrow grain does not."""
+    inside, outside = 94.0, 60.0
+    loop = np.concatenate([np.linspace(inside, outside, 60), np.linspace(outside, inside, 60)])
+    path = np.concatenate([np.linspace(40.0, inside, 200), loop, loop])
+    gaps = []
+    for grains in (None, *(Grains(jnp.asarray(s), jnp.asarray(s), count=24) for s in (0.7, 0.95))):
+        strain = cycle(path, grains)
+        first, second = strain[200:320], strain[320:440]
+        assert np.ptp(first) > 2e-3
+        gaps.append(float(np.max(np.abs(second - first)) / np.ptp(first)))
+    assert gaps[2] < 0.7 * gaps[1] < 0.7 * gaps[0] and gaps[2] < 0.1, gaps
+
+
+def test_each_grain_has_a_memory_of_its_own():
+    """After partial heating, grains that transformed and grains that did not are side by side."""
+    plant = dataclasses.replace(plants.stress_path(), grains=Grains(count=8))
+    path = np.linspace(40.0, 94.0, 200)
+    recording = plants.recording({"temperature": path, "stress": np.full(200, STRESS)})
+    detwinned = np.asarray(simulate(plant, discretise(plant, recording)).state.fractions.detwinned)[-1, :, 0]
+    assert np.all(np.diff(detwinned) >= -1e-12) and detwinned[0] < 0.1 and detwinned[-1] > 0.9
