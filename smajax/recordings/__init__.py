@@ -3,7 +3,7 @@
 - ``recording``: the class ``Recording`` (slice, resample, write) and the interpolation of its channels.
 - ``read``: reads and checks a file (CSV, JSON, MATLAB, Parquet, Excel, TDMS, ROS bag, MCAP) or a table in memory;
   ``readers`` has one module per format.
-- ``read_options``: layout of a file, its clock, and what is done with bad rows; ``bad_rows`` drops or splits at them.
+- ``read_options``: layout of a file, its clock, and what is done with bad rows; ``bad_rows`` drops them.
 - ``sources``: what is taken where a recording is expected; ``recording_checks``: recordings that are read.
 - ``column_selection``: columns that are left out or joined; ``column_mapping``: the channel of each other one.
 - ``value_checks`` and ``unit_checks``: checks of the numbers; ``traced_values``: refusal of values that JAX traces.

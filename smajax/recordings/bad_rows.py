@@ -1,10 +1,13 @@
 """Rows that cannot be used: those with an unreadable cell, and those in which time does not increase.
 
-They are left out, or the recording is split there, on request only, and counted in the notes.
+They are left out on request only, and counted in the notes; on request a recording is also split where its clock begins
+again.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,34 +42,36 @@ def good_rows(
         InputError: If most rows are bad.
     """
     readable = _readable(values)
-    good = readable.copy()
-    if "time" in values:
-        time = np.where(readable, values["time"], -np.inf)
-        latest = np.maximum.accumulate(time)[:-1]
-        good[1:] &= (time[1:] >= latest) if may_repeat else (time[1:] > latest)
-    if good.all():
+    rows = rows_to_keep(readable, values.get("time"), may_repeat)
+    if len(rows) == len(readable):
         return None, ()
-    if np.count_nonzero(~good) > _MAX_BAD_SHARE * len(good):
-        bad_rows = f"{np.count_nonzero(~good)} of {len(good)} rows are bad"
-        first = f"the first of them row {first_row + int(np.argmin(good))}"
-        raise InputError(
-            f"{origin}: {bad_rows}, {first}, too many to drop: correct them{_split_hint(readable, values)}"
-        )
-    notes = []
-    for problem, bad in (
-        ("with a blank or unreadable cell", ~readable),
-        ("in which time does not increase", readable & ~good),
-    ):
-        if bad.any():
-            row_numbers = _listed(np.flatnonzero(bad), first_row)
-            notes.append(f"{np.count_nonzero(bad)} of {len(good)} rows {problem} dropped on request: row {row_numbers}")
-    return np.flatnonzero(good), tuple(notes)
+    _refuse_mostly_bad(origin, rows, readable, first_row, values)
+    notes = _notes(_left_out(readable, rows), len(readable), first_row, "dropped on request")
+    return rows, notes
+
+
+def rows_to_keep(readable: NDArray[np.bool_], time: NDArray[np.float64] | None, may_repeat: bool) -> Rows:
+    """Return the rows that can be read and whose time is above those of all rows before.
+
+    Args:
+        readable: Whether each row can be read, shape ``(rows,)``.
+        time: Times, shape ``(rows,)``; ``None`` without a clock.
+        may_repeat: Whether a time may be that of the row before, as in a path.
+    """
+    rows = np.flatnonzero(readable)
+    if time is None:
+        return rows
+    rows = rows[time_order(time[rows], may_repeat).good]
+    return rows[_increases(time[rows], may_repeat)]
 
 
 def split_rows(
     origin: Path | str, values: Mapping[str, NDArray[np.float64]], first_row: int, may_repeat: bool = False
 ) -> list[tuple[Rows | None, tuple[str, ...]]]:
-    """Return the rows of each part of a recording, split where a row cannot be read or time does not increase.
+    """Return the rows of each part of a recording, which is split where the clock begins again.
+
+    Other bad rows are left out, as by ``good_rows``: the wire went on between the rows next to them, and each part of
+    a recording begins from a state of its own.
 
     Args:
         origin: The file, or the name of the object, for messages.
@@ -75,39 +80,132 @@ def split_rows(
         may_repeat: Whether a time may be that of the row before, as in a path.
 
     Returns:
-        Pairs of rows (``None`` for all) and notes; a row that does not increase in time begins the next part.
+        Pairs of rows (``None`` for all) and notes.
 
     Raises:
-        InputError: If no part has two rows.
+        InputError: If most rows are bad, or no part has two rows.
     """
     readable = _readable(values)
-    begins = np.zeros(len(readable), bool)
-    begins[1:] = ~readable[:-1]
-    restarts = np.zeros(len(readable), bool)
-    if "time" in values:
-        restarts[1:] = readable[1:] & readable[:-1] & time_slips(values["time"], may_repeat)
     rows = np.flatnonzero(readable)
-    parts = [part for part in np.split(rows, np.flatnonzero((begins | restarts)[rows][1:]) + 1) if len(part)]
+    parts, restarts = [rows], np.zeros(0, int)
+    if "time" in values:
+        time = values["time"]
+        order = time_order(time[rows], may_repeat)
+        restarts = rows[order.restarts]
+        kept = rows[order.good]
+        parts = np.split(kept, np.searchsorted(kept, restarts))
+        parts = [part[_increases(time[part], may_repeat)] for part in parts]
     long = [part for part in parts if len(part) >= _MIN_PART_ROWS]
-    if not long:
-        problem = f"no two rows follow each other without a bad one, the first of them row {first_row}"
-        raise InputError(f"{origin}: {problem}: correct them")
+    single = np.concatenate([np.zeros(0, int), *(part for part in parts if len(part) < _MIN_PART_ROWS)]).astype(int)
     if len(long) == 1 and len(long[0]) == len(readable):
         return [(None, ())]
-    single = np.array([part[0] for part in parts if len(part) < _MIN_PART_ROWS], int)
-    counts = [
-        f"{len(bad)} of {len(readable)} rows {problem}: row {_listed(bad, first_row)}"
-        for problem, bad in (
-            ("with a blank or unreadable cell left out, and the recording split there", np.flatnonzero(~readable)),
-            ("in which time does not increase begin a part", np.flatnonzero(restarts)),
-            ("left out, since a part needs two rows", single),
-        )
-        if len(bad)
-    ]
+    _refuse_mostly_bad(origin, np.concatenate([*parts]), readable, first_row, values)
+    if not long:
+        raise InputError(f"{origin}: no part has two rows, the first of them row {first_row}: correct the time")
+    counts = (
+        *_notes(_left_out(readable, np.concatenate(parts)), len(readable), first_row, "left out on request"),
+        *_notes({"in which the clock begins again": restarts}, len(readable), first_row, "begin a part"),
+        *_notes({"are": single}, len(readable), first_row, "left out, since a part needs two rows"),
+    )
+    several = len(long) > 1
     return [
-        (part, (f"part {k} of {len(long)}: rows {first_row + part[0]} to {first_row + part[-1]}", *counts))
+        (
+            part,
+            (*((f"part {k} of {len(long)}: rows {first_row + part[0]} to {first_row + part[-1]}",) * several), *counts),
+        )
         for k, part in enumerate(long, 1)
     ]
+
+
+@dataclass(frozen=True)
+class TimeOrder:
+    """Which times follow the one before.
+
+    Attributes:
+        good: Whether each row follows, shape ``(rows,)``; not for one that repeats a time, or whose time alone is too
+            high or too low.
+        restarts: Indices of rows at which the clock begins again.
+    """
+
+    good: NDArray[np.bool_]
+    restarts: Rows
+
+
+def time_order(time: NDArray[np.float64], may_repeat: bool) -> TimeOrder:
+    """Return which times follow the one before, and where the clock begins again.
+
+    Where time goes back, one row alone is wrong if the rows next to it are in order without it; otherwise the clock
+    begins again.
+
+    Args:
+        time: Finite times, shape ``(rows,)``.
+        may_repeat: Whether a time may be that of the row before, as in a path.
+    """
+    good = np.ones(len(time), bool)
+    if not may_repeat:
+        good[1:] = time[1:] != time[:-1]
+    rows = np.flatnonzero(good)
+    distinct = time[rows]
+    restarts = []
+    for k in np.flatnonzero(distinct[1:] < distinct[:-1]) + 1:
+        if k + 1 == len(distinct) or distinct[k + 1] > distinct[k - 1]:
+            good[rows[k]] = False
+        elif k > 1 and distinct[k] > distinct[k - 2]:
+            good[rows[k - 1]] = False
+        else:
+            restarts.append(rows[k])
+    return TimeOrder(good, np.array(restarts, int))
+
+
+def _increases(time: NDArray[np.float64], may_repeat: bool) -> NDArray[np.bool_]:
+    """Return whether each time is above all times before, shape ``(rows,)``."""
+    good = np.ones(len(time), bool)
+    latest = np.maximum.accumulate(time)[:-1]
+    good[1:] = (time[1:] >= latest) if may_repeat else (time[1:] > latest)
+    return good
+
+
+def _left_out(readable: NDArray[np.bool_], rows: Rows) -> dict[str, Rows]:
+    """Return the rows that are not among those to keep, by their problem."""
+    late = readable.copy()
+    late[rows] = False
+    return {
+        "with a blank or unreadable cell": np.flatnonzero(~readable),
+        "in which time does not increase": np.flatnonzero(late),
+    }
+
+
+def _notes(rows: Mapping[str, Rows], count: int, first_row: int, what: str) -> tuple[str, ...]:
+    """Return a note on each kind of rows of which there are any."""
+    return tuple(
+        f"{len(bad)} of {count} rows {problem} {what}: row {_listed(bad, first_row)}"
+        for problem, bad in rows.items()
+        if len(bad)
+    )
+
+
+def _refuse_mostly_bad(
+    origin: Path | str, rows: Rows, readable: NDArray[np.bool_], first_row: int, values: Mapping[str, Any]
+) -> None:
+    """Refuse a file of which most rows would be left out.
+
+    Args:
+        origin: The file, or the name of the object.
+        rows: Rows to keep.
+        readable: Whether each row can be read, shape ``(rows,)``.
+        first_row: Number of the first row.
+        values: Arrays by channel.
+
+    Raises:
+        InputError: If more than half of the rows are bad.
+    """
+    count = len(readable)
+    if count - len(rows) <= _MAX_BAD_SHARE * count:
+        return
+    bad = np.ones(count, bool)
+    bad[rows] = False
+    problem = f"{count - len(rows)} of {count} rows are bad, the first of them row {first_row + int(np.argmax(bad))}"
+    raise InputError(f"{origin}: {problem}, too many to drop: {_mostly_bad_cure(readable, values)}")
 
 
 def time_slips(time: NDArray[np.float64], may_repeat: bool) -> NDArray[np.bool_]:
@@ -134,27 +232,19 @@ def impossible_values(channel: str, values: NDArray[np.float64], unit: str | Non
     return (numbers < 0) | (numbers > 1 + BOUND_ROUNDING)
 
 
-def is_restart(time: NDArray[np.float64], row: int) -> bool:
-    """Return whether the clock begins again at a row: time goes back, and goes on from there.
-
-    Args:
-        time: Times, shape ``(rows,)``.
-        row: Index of a row whose time is below the one before.
-    """
-    later = time[row : row + 2]
-    return len(later) == 2 and time[row - 1] > later[1] > later[0]
-
-
 def _readable(values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
     return np.all([np.isfinite(column) for column in values.values()], axis=0)
 
 
-def _split_hint(readable: NDArray[np.bool_], values: Mapping[str, NDArray[np.float64]]) -> str:
-    """Return the advice to split where most rows are bad because the clock begins again."""
+def _mostly_bad_cure(readable: NDArray[np.bool_], values: Mapping[str, Any]) -> str:
+    """Return what to do where most rows are bad: the clock begins again, or is coarser than the rows."""
     time = values["time"][readable] if "time" in values else np.zeros(0)
-    slips = np.flatnonzero(time[1:] <= time[:-1]) + 1
-    restarts = any(is_restart(time, int(row)) for row in slips[:_ROWS_LISTED])
-    return ', or set on_bad_rows = "split", since the clock begins again' if restarts else ""
+    order = time_order(time, may_repeat=False)
+    if len(order.restarts):
+        return 'correct them, or set on_bad_rows = "split", since the clock begins again'
+    if np.count_nonzero(time[1:] == time[:-1]) > _MAX_BAD_SHARE * len(readable):
+        return "the time is coarser than the rows: leave its column out, and give sample_period, the time between rows"
+    return "correct them"
 
 
 def _listed(indices: Rows, first_row: int) -> str:

@@ -4,7 +4,7 @@ A recording file has one header row, ``name [unit]`` per column, and rows of num
 DataFrame, dictionary or array has the same columns.
 Reading makes all checks that do not need the rig, so that later code can rely on them: every channel is known and its
 unit can be converted, every number is finite, time increases. A bad file is refused in one sentence with file, row and
-column. Rows are dropped, and a file is split at them, only on request, and then counted.
+column. Rows are dropped, and a file is split where its clock begins again, only on request, and then counted.
 """
 
 import dataclasses
@@ -98,7 +98,7 @@ def read_recordings(
     options: ReadOptions | None = None,
     **changes: Any,
 ) -> list[Recording]:
-    """Read and check the recordings of a file: one, or several if sheets are named or it is split at bad rows.
+    """Read and check the recordings of a file: one, or several if sheets are named or it is split.
 
     Args:
         source: A path; a DataFrame or pyarrow table; a dictionary or structured array such as

@@ -52,7 +52,7 @@ class ReadOptions:
         topic_interpolation: What is done with other topics at the stamps of ``clock_topic``: ``refuse``, ``hold`` the
             last message, or ``linear`` interpolation.
         on_bad_rows: What is done with rows that cannot be read or in which time does not increase: ``refuse`` the
-            file, ``drop`` them, or ``split`` the recording there.
+            file, ``drop`` them, or drop them and ``split`` the recording where the clock begins again.
     """
 
     skip_rows: int = 0

@@ -71,7 +71,7 @@ def parts_without_bad_rows(
     Args:
         recording: The recording.
         names: Channels that have to be finite.
-        on_bad_rows: Whether the other rows are dropped, or the recording is split there.
+        on_bad_rows: ``drop`` leaves the other rows out; ``split`` also begins a recording where the clock begins again.
         may_repeat: Whether a time may be that of the row before, as in a path.
 
     Raises:

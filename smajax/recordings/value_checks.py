@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import channel_of, channel_unit
 from smajax.errors import InputError
-from smajax.recordings.bad_rows import is_restart, time_slips
+from smajax.recordings.bad_rows import time_order, time_slips
 from smajax.recordings.column_mapping import FileColumn
 from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.unit_checks import check_scale
@@ -17,8 +17,8 @@ from smajax.units import to_si
 # Number of rows with decreasing time up to which they count as single errors, and not as unsorted rows. Chosen by
 # trial; tested in tests/unit/recordings/test_bad_recordings.py.
 _MAX_TIME_SLIPS = 2
-# Number of such rows up to which each may be a restart of the clock, of a logger that is switched on again. Chosen by
-# trial.
+# Number of restarts of the clock up to which they are those of a logger that is switched on again, and not unsorted
+# rows. Chosen by trial.
 _MAX_RESTARTS = 20
 
 Place = Callable[[FileColumn, int], str]
@@ -109,13 +109,12 @@ def check_time(
         problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
         sort = f"sort the rows by time, or leave such rows out with {drop_option}"
         code, cure = ("time-order", sort) if slips.size > _MAX_TIME_SLIPS else ("bad-row", repair_hint(drop_option))
-        if time[i] < time[i - 1] and slips.size <= _MAX_RESTARTS and is_restart(time, i):
+        restarts = time_order(time, may_repeat).restarts
+        if i in restarts and len(restarts) <= _MAX_RESTARTS:
             problem += f" {unit}, where the clock begins again"
-            code, cure = (
-                "clock-restart",
-                'split the recording there with on_bad_rows = "split" under [recording] in the rig',
-            )
-            raise InputError(f"{place(i)}: time {problem}: {cure}", code=code, cure=cure)
+            options = '--on-bad-rows split, or on_bad_rows = "split" under [recording] in the rig'
+            cure = f"split the recording there with {options}"
+            raise InputError(f"{place(i)}: time {problem}: {cure}", code="clock-restart", cure=cure)
         raise InputError(f"{place(i)}: time {problem} {unit}: {cure}", code=code, cure=cure)
 
 

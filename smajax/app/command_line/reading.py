@@ -98,7 +98,11 @@ _OPTIONS: dict[str, Any] = {
     ],
     "on_bad_rows": Annotated[
         _OnBadRows | None,
-        _option("--on-bad-rows", help="What is done with rows that cannot be read, or whose time does not increase."),
+        _option(
+            "--on-bad-rows",
+            help="What is done with rows that cannot be read, or whose time does not increase; split drops them, and "
+            "begins a recording where the clock begins again.",
+        ),
     ],
     "drop_bad_rows": Annotated[
         bool, _option("--drop-bad-rows", help="Leave out such rows; they are counted in the result.")

@@ -105,10 +105,10 @@ def test_what_does_not_fit_is_refused_with_its_row(read, fault):
     assert sentence in str(refusal.value) and str(refusal.value).startswith(f"{name}: ")
 
 
-def test_bad_lines_are_dropped_or_split_at_and_counted(read):
+def test_bad_lines_are_dropped_and_counted(read):
     content = lines([*ROWS[:2], {"time [s]": 0.7}, {"time [s]": 0.9, "current [A]": 1.0}]) + "oops\n" + lines([ROWS[2]])
     recording = read("log.jsonl", content, drop_bad_rows=True)
     assert recording.time.tolist() == [0.0, 0.5, 0.9, 1.0]
     assert recording.notes == ("2 of 6 rows with a blank or unreadable cell dropped on request: row 3, 5",)
     parts = read_recordings("log.jsonl", on_bad_rows="split")
-    assert [part.time.tolist() for part in parts] == [[0.0, 0.5]]
+    assert [part.time.tolist() for part in parts] == [[0.0, 0.5, 0.9, 1.0]]

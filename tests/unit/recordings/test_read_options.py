@@ -236,7 +236,7 @@ def test_a_restart_of_the_clock_splits_the_recording_on_request(tmp_path, monkey
     assert [part.channels["temperature"].tolist() for part in parts] == [[30, 31, 32], [40, 41, 42]]
     assert parts[1].notes == (
         "part 2 of 2: rows 5 to 7",
-        "1 of 6 rows in which time does not increase begin a part: row 5",
+        "1 of 6 rows in which the clock begins again begin a part: row 5",
     )
     with pytest.raises(InputError, match="2 recordings were read"):
         read_recording("log.csv", on_bad_rows="split")
@@ -251,8 +251,47 @@ def test_a_corrupt_row_and_a_repeated_stamp(tmp_path, monkeypatch):
         read_recording("log.csv")
     dropped = read_recording("log.csv", on_bad_rows="drop")
     assert dropped.time.tolist() == [0, 1, 3, 4, 5] and "row 4" in dropped.notes[0] and "row 7" in dropped.notes[1]
-    parts = read_recordings("log.csv", on_bad_rows="split")
-    assert [part.time.tolist() for part in parts] == [[0, 1], [3, 4], [4, 5]]
+    (part,) = read_recordings("log.csv", on_bad_rows="split")
+    assert part.time.tolist() == [0, 1, 3, 4, 5] and part.name == "log.csv"
+    assert part.notes == (
+        "1 of 7 rows with a blank or unreadable cell left out on request: row 4",
+        "1 of 7 rows in which time does not increase left out on request: row 7",
+    )
+
+
+# Times of a log, those that are kept by drop, and those of the parts by split.
+CLOCKS = {
+    "single rows out of order": ([0, 1, 2, 1.5, 3, 4], [0, 1, 2, 3, 4], [[0, 1, 2, 3, 4]]),
+    "the last row out of order": ([0, 1, 2, 3, 2.5], [0, 1, 2, 3], [[0, 1, 2, 3]]),
+    "a corrupt stamp": ([0, 1, 999, 3, 4, 5], [0, 1, 3, 4, 5], [[0, 1, 3, 4, 5]]),
+    "a corrupt stamp that is too low": ([0, 1, -7, 3, 4, 5], [0, 1, 3, 4, 5], [[0, 1, 3, 4, 5]]),
+    "two restarts": ([0, 1, 2, 3, 4, 0, 1, 0, 1], [0, 1, 2, 3, 4], [[0, 1, 2, 3, 4], [0, 1], [0, 1]]),
+    "a restart and repeated stamps": ([0, 1, 1, 2, 3, 4, 4, 0, 0, 1], [0, 1, 2, 3, 4], [[0, 1, 2, 3, 4], [0, 1]]),
+    "a restart at a later time": ([10, 11, 12, 13, 14, 5, 6], [10, 11, 12, 13, 14], [[10, 11, 12, 13, 14], [5, 6]]),
+    "a restart of a single row": ([0, 1, 2, 3, 0, 0], [0, 1, 2, 3], [[0, 1, 2, 3]]),
+}
+
+
+@pytest.mark.parametrize("kind", CLOCKS)
+def test_a_part_begins_where_the_clock_does_and_other_bad_rows_are_left_out(tmp_path, kind):
+    times, dropped, split = CLOCKS[kind]
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],current [A]\n" + "".join(f"{t},{k}\n" for k, t in enumerate(times)))
+    recording = read_recording(path, on_bad_rows="drop")
+    assert (
+        recording.time.tolist() == dropped and f"{len(times) - len(dropped)} of {len(times)} rows" in recording.notes[0]
+    )
+    parts = read_recordings(path, on_bad_rows="split")
+    assert [part.time.tolist() for part in parts] == split
+    assert len(parts) == 1 or parts[0].notes[0].startswith(f"part 1 of {len(parts)}: rows 2 to ")
+
+
+def test_a_clock_that_is_coarser_than_the_rows_says_so(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],current [A]\n" + "".join(f"{k // 10},{k % 7}\n" for k in range(50)))
+    for on_bad_rows in ("drop", "split"):
+        with pytest.raises(InputError, match="45 of 50 rows are bad.*the time is coarser than the rows: leave its col"):
+            read_recordings(path, on_bad_rows=on_bad_rows)
 
 
 @pytest.fixture
@@ -292,8 +331,8 @@ def test_a_recording_and_a_table_in_memory_are_split(tmp_path):
         assert parts[1].notes[0] == "part 2 of 2: rows 3 to 5" and "1 of 6 rows with a blank" in parts[1].notes[1]
     with pytest.raises(InputError, match=r"^run: row 2, column 'current \[A\]'"):
         read_recordings(recording, required=("current",))
-    with pytest.raises(InputError, match="^run: no two rows follow each other without a bad one"):
-        still = Recording.from_arrays("run", np.zeros(3), {"current": np.ones(3)})
+    with pytest.raises(InputError, match="^run: no part has two rows"):
+        still = Recording.from_arrays("run", np.zeros(2), {"current": np.ones(2)})
         read_recordings(still, required=("current",), on_bad_rows="split")
 
 

@@ -248,7 +248,9 @@ def test_repeated_stamps_are_dropped_and_restarts_split(tmp_path):
     assert question.text == "20 of 40 rows repeat the time of the row before, the first in row 3"
     path.write_text(table({"time [s]": np.tile(np.arange(20), 2), "temp": temperature}))
     question = recognise(path, {}, {}).questions[-1]
-    assert question.choice == "split" and "1 of 40 rows go back in time, the first in row 22" in question.text
+    assert question.choice == "split" and "1 of 40 rows are those in which the clock begins again" in question.text
+    path.write_text(table({"time [s]": np.repeat(np.tile(np.arange(10), 2), 2), "temp": temperature}))
+    assert recognise(path, {}, {}).questions[-1].choice == "split"
     assert recognise(path, {}, {"on_bad_rows": "drop"}).options.on_bad_rows == "drop"
 
 
