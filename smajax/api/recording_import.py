@@ -1,5 +1,6 @@
 """Import of a file whose layout and columns are not known: look at it, say what it is taken for, write a recording."""
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
@@ -9,6 +10,8 @@ from typing import Any
 from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings
 from smajax.files.recording_sections import sections_text
+from smajax.files.rig_draft import NO_RIG, Assumption, RigDraft, draft_rig, template_kinds
+from smajax.files.rig_file import Rig
 from smajax.files.toml import write_text
 from smajax.recordings.read import read_recordings
 from smajax.recordings.read_options import ReadOptions
@@ -29,11 +32,20 @@ class RecordingImport:
         recognition: What the file was taken for, and why.
         recordings: The recordings: one, or several of a workbook or of a clock that begins again.
         questions: Doubts that nobody has decided, with the choices that were made.
+        draft: A rig that reads the file and fits its recordings; ``None`` where they suggest none.
+        no_rig: Why there is no rig; empty if there is one, or none is wanted.
     """
 
     recognition: Recognition
     recordings: tuple[Recording, ...]
     questions: tuple[Question, ...]
+    draft: RigDraft | None = None
+    no_rig: str = ""
+
+    @property
+    def rig(self) -> Rig | None:
+        """The rig, for example for ``sma.fit(result.rig, result.recordings[0])``."""
+        return self.draft.rig if self.draft is not None else None
 
     @property
     def options(self) -> ReadOptions:
@@ -51,13 +63,14 @@ class RecordingImport:
 
     def summary(self) -> str:
         """Return what each column was taken for and why, what is doubtful, and the sections of a rig."""
-        return import_summary(self.recognition, self.recordings, self.questions, self.sections())
+        draft = self.draft or self.no_rig
+        return import_summary(self.recognition, self.recordings, self.questions, self.sections(), draft)
 
     def __repr__(self) -> str:
         return self.summary()
 
     def paths(self, folder: str | Path = "") -> list[Path]:
-        """Return the files that ``save`` writes: one for each recording, and the sections.
+        """Return the files that ``save`` writes: one for each recording, the sections, and the rig.
 
         Args:
             folder: The folder.
@@ -65,10 +78,11 @@ class RecordingImport:
         folder, stem = Path(folder), self.recognition.path.stem
         several = len(self.recordings) > 1
         names = [f"{stem}-recording{f'-{k}' if several else ''}.csv" for k in range(1, len(self.recordings) + 1)]
-        return [*(folder / name for name in names), folder / f"{stem}-sections.toml"]
+        names += [f"{stem}-sections.toml", *([f"{stem}-rig.toml"] if self.draft is not None else [])]
+        return [folder / name for name in names]
 
     def save(self, folder: str | Path = "", *, overwrite: bool = False) -> list[Path]:
-        """Write the recordings as CSV with units in the headers, and the sections of a rig.
+        """Write the recordings as CSV with units in the headers, the sections of a rig, and the rig if there is one.
 
         Args:
             folder: The folder; made if it is not there.
@@ -92,7 +106,10 @@ class RecordingImport:
             raise InputError(f"{folder}: the folder cannot be made ({reason}): name another one with --out") from None
         for recording, path in zip(self.recordings, paths, strict=False):
             recording.write(path)
-        write_text(paths[-1], self._sections_file())
+        sections = paths[len(self.recordings)]
+        write_text(sections, self._sections_file())
+        if self.draft is not None:
+            write_text(paths[-1], self.draft.text)
         return paths
 
     def _sections_file(self) -> str:
@@ -106,6 +123,8 @@ def import_recording(
     path: str | os.PathLike[str],
     *,
     channels: Mapping[str, str] | None = None,
+    rig: str | None = None,
+    values: Mapping[str, str] | None = None,
     ask: Ask | None = None,
     **reading: Any,
 ) -> RecordingImport:
@@ -115,6 +134,8 @@ def import_recording(
         path: The file.
         channels: What columns are, by header: ``{"Force sensor": "force [N] factor=-0.0087 offset=7.5"}``, or ``"-"``
             for one to leave out; the others are recognised.
+        rig: Kind of the rig; by default that which the channels suggest, and ``"none"`` for no rig.
+        values: Values of the rig that no recording says, by name: ``{"wire.diameter": "0.5 mm"}``.
         ask: Function that decides a doubt: it gets a ``Question`` and returns an answer, or ``None`` for its choice.
         **reading: Options of ``ReadOptions``, such as ``sample_period="20 ms"``, which stay as they are.
 
@@ -131,7 +152,56 @@ def import_recording(
         clock=recognition.has_clock,
         options=recognition.options,
     )
-    return RecordingImport(recognition, tuple(recordings), questions)
+    result = RecordingImport(recognition, tuple(recordings), questions)
+    return _with_rig(result, rig, dict(values or {}), ask)
+
+
+def _with_rig(result: RecordingImport, kind: str | None, values: dict[str, str], ask: Ask | None) -> RecordingImport:
+    """Return an import with a rig of a kind and with values, of which those that nobody gave are asked."""
+    name = result.recognition.path.stem + "-rig.toml"
+
+    def draft(kind: str | None, values: Mapping[str, str]) -> RigDraft:
+        return draft_rig(result.recordings, result.sections(), name, kind=kind, values=values)
+
+    if kind == NO_RIG:
+        return result
+    try:
+        proposal = draft(kind, values)
+    except InputError as error:
+        if kind is not None or values:
+            raise
+        return dataclasses.replace(result, no_rig=str(error))
+    if ask is not None and kind is None:
+        kind = ask(_kind_question(proposal, lambda text: text == NO_RIG or draft(text, values)))
+        if kind == NO_RIG:
+            return result
+        proposal = draft(kind, values)
+    for assumption in proposal.assumptions:
+        if ask is None:
+            break
+        answer = ask(_value_question(assumption, lambda text, key=assumption.name: draft(kind, values | {key: text})))
+        if answer is not None:
+            values[assumption.name] = answer
+    return dataclasses.replace(result, draft=draft(kind, values))
+
+
+def _kind_question(draft: RigDraft, check: Callable[[str], object]) -> Question:
+    """Return the question which kind of rig the recordings are of, with the kinds that are possible."""
+    kinds = []
+    for kind in template_kinds():
+        with contextlib.suppress(InputError):
+            check(kind)
+            kinds.append(kind)
+    others = (*(kind for kind in kinds if kind != draft.kind.kind), NO_RIG)
+    text = f"{draft.kind.kind} is suggested, since {draft.kind.reason}"
+    return Question("rig", text, draft.kind.kind, others, is_column=False, option=f"--rig {others[0]}", check=check)
+
+
+def _value_question(assumption: Assumption, check: Callable[[str], object]) -> Question:
+    """Return the question for a value that no recording says."""
+    text = f"{assumption.meaning}, which no recording says"
+    option = f"--set '{assumption.name} = {assumption.value}'"
+    return Question(assumption.name, text, assumption.value, is_column=False, option=option, check=check)
 
 
 def _decide(

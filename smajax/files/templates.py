@@ -37,7 +37,7 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
     head, example_head = template["rig"], tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
     for key in _OF_RECORDING:
         if key in example_head and key in head:
-            _set_value(head, key, example_head[key])
+            set_value(head, key, example_head[key])
     files = {
         out / "rig.toml": tomlkit.dumps(template).encode(),
         out / "example.toml": (example / "rig.toml").read_bytes(),
@@ -79,8 +79,14 @@ def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
     return out / "rig.toml", out / "sweep.toml"
 
 
-def _set_value(table: Table, key: str, value: str) -> None:
-    """Set a value whose comment keeps its column."""
+def set_value(table: Table, key: str, value: Any) -> None:
+    """Set a value whose comment keeps its column.
+
+    Args:
+        table: The section.
+        key: The key, which the section has.
+        value: The new value.
+    """
     old: Any = table.item(key)
     gap = len(old.trivia.comment_ws) + len(old.as_string())
     table[key] = value

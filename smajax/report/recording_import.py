@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from textwrap import wrap
 
+from smajax.files.rig_draft import RigDraft
 from smajax.recordings.recognition.answers import LEFT_OUT
 from smajax.recordings.recognition.findings import Question
 from smajax.recordings.recognition.recognise import Recognition
@@ -23,7 +24,11 @@ _SHARED_FROM = 3
 
 
 def import_summary(
-    recognition: Recognition, recordings: Sequence[Recording], questions: Sequence[Question], sections: str
+    recognition: Recognition,
+    recordings: Sequence[Recording],
+    questions: Sequence[Question],
+    sections: str,
+    draft: RigDraft | str,
 ) -> str:
     """Return the summary as text for a terminal.
 
@@ -32,6 +37,7 @@ def import_summary(
         recordings: The recordings that were read.
         questions: Doubts that nobody has decided.
         sections: The sections of a rig that read the file.
+        draft: The rig, or why there is none; empty if none is wanted.
     """
     rows = " + ".join(f"{count:,}" for count in recognition.rows)
     lines = [f"{recognition.path.name}: {rows} rows of {len(recognition.columns)} columns", ""]
@@ -48,7 +54,27 @@ def import_summary(
         lines += ["", f"Sections of a rig.toml that read {recognition.path.name} as it is:", "", sections.rstrip()]
     elif recordings:
         lines += ["", f"A rig needs no section to read {recognition.path.name}."]
+    lines += _rig_lines(draft)
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _rig_lines(draft: RigDraft | str) -> list[str]:
+    """Return what is said of the rig: its kind, what it fits, and the values in it that no recording says."""
+    if isinstance(draft, str):
+        return ["", *wrap(f"No rig is written: {draft}.", _WIDTH)] if draft else []
+    observed, free = ", ".join(draft.rig.fit.observe), ", ".join(draft.rig.fit.names)
+    text = f"Rig: {draft.kind.kind}, since {draft.kind.reason}; it fits {observed} by {free}."
+    lines = ["", *wrap(text, _WIDTH, break_on_hyphens=False)]
+    alloy = "alloy" if draft.rig.kind == "path" else "alloy and heat transfer"
+    assumed = "".join(f"{a.name} = {a.value}, " for a in draft.assumptions)
+    example = (
+        f"{draft.assumptions[0].name} = {draft.assumptions[0].value}"
+        if draft.assumptions
+        else "material.austenite_start = 68 degC"
+    )
+    text = f"Assumed in it, as no recording says it: {assumed}{alloy} of Flexinol wire. Give what you know, as in "
+    text += f"--set '{example}' (values in Python), or correct it in the file."
+    return [*lines, *wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)]
 
 
 def _recording_lines(recordings: Sequence[Recording]) -> list[str]:

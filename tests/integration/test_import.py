@@ -1,5 +1,6 @@
 """The command import and its page: from a file as it is to a rig that reads it, alone and with answers in a terminal."""
 
+import json
 import os
 import pty
 import re
@@ -23,6 +24,7 @@ from tests.integration.test_cli import sentence, smajax
 
 PAGE = (ROOT / "docs" / "how-to" / "import-a-file.md").read_text("utf-8")
 BLOCK = re.compile(r"```(sh|python)\n(.*?)```", re.DOTALL)
+OF_OTHERS = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
 LOG = "nr;millis;wire temp;load cell;pwm\n" + "".join(
     f"{k};{50 * k};{24 + k / 4:.2f};{800 - k};{120 * (k > 5)}\n".replace(".", ",") for k in range(40)
 )
@@ -54,7 +56,7 @@ def assert_same(first: Recording, second: Recording) -> None:
 
 def assert_reads_back(path: Path, folder: Path, result: sma.RecordingImport) -> None:
     """The written recordings, and the original file by the written sections, have the same channels."""
-    *written, sections = result.save(folder)
+    *written, sections = [path for path in result.save(folder) if not path.name.endswith("-rig.toml")]
     data = tomllib.loads(sections.read_text("utf-8"))
     channels, options = channel_settings(data.get("channels", {})), recording_options(data)
     clock = result.recordings[0].has_clock
@@ -91,13 +93,17 @@ def test_exports_of_instruments_need_no_word(shared, tmp_path, name):
     assert_reads_back(path, tmp_path, result)
 
 
-def test_the_command_states_its_doubts_and_writes_two_files(log):
+def test_the_command_states_its_doubts_and_writes_three_files(log):
     result = smajax("import", "log.csv")
     assert result.exit_code == 0, result.output
     assert "Doubts:\n1. load cell: the whole numbers 761 to 800 are counts of a converter" in result.stdout
     assert "Otherwise give for example --channel 'load cell = force [N] factor=0.01 offset=0'" in result.stdout
     assert 'duty = {column = "pwm", full_scale = 255.0}' in result.stdout
-    assert sorted(path.name for path in Path().iterdir()) == ["log-recording.csv", "log-sections.toml", "log.csv"]
+    names = ["log-recording.csv", "log-rig.toml", "log-sections.toml", "log.csv"]
+    assert sorted(path.name for path in Path().iterdir()) == names
+    assert result.stdout.endswith(
+        "Next: smajax check log-rig.toml log.csv\n      smajax fit log-rig.toml log.csv --out log-fit\n"
+    )
     header = Path("log-recording.csv").read_text().partition("\n")[0]
     assert header == "time [ms],temperature [degC],duty [1]"
     assert log.read_text() == LOG
@@ -135,26 +141,30 @@ def test_answers_decide_and_the_choice_of_a_question_stays(log):
         return FORCE if question.key == "load cell" else None
 
     result = sma.import_recording(log, ask=ask)
-    assert asked == ["load cell"] and not result.questions
+    assert asked == ["load cell", "rig", "wire.diameter", "wire.length", "spring.stiffness"] and not result.questions
     assert result.channels.columns["force"].factor == -0.0087
     assert_reads_back(log, Path("out"), result)
 
 
 def test_a_terminal_asks_until_an_answer_is_possible(log):
     command = [sys.executable, "-m", "smajax", "import", "log.csv", "--out", "a"]
-    output = in_terminal(command, ["force", FORCE])
+    output = in_terminal(command, ["force", FORCE, "dead-wait", "dead-weight", "1 kg", "0.2 mm"])
+    assert "Rig: bias-spring is suggested, since duty heats the wire, and the force changes" in output
+    assert "'dead-wait' is not a kind of rig" in output and "wire.diameter: '1 kg' is not possible" in output
+    rig = sma.read_rig("a/log-rig.toml")
+    assert rig.kind == "dead-weight" and float(rig.plant.wire.diameter) == pytest.approx(0.2e-3)
     assert "1  leave it out  (Enter)" in output and "'force' has no unit" in output
     assert "Doubts" not in output and Path("a/log-sections.toml").is_file()
     assert "factor = -0.0087" in Path("a/log-sections.toml").read_text()
-    output = in_terminal(command, ["", "n"])
+    output = in_terminal(command, ["", "none", "n"])
     assert "Replace a/log-recording.csv, a/log-sections.toml? [y/N]: n" in output
     assert "factor = -0.0087" in Path("a/log-sections.toml").read_text()
-    in_terminal(command, ["", "y"])
+    in_terminal(command, ["", "none", "y"])
     assert "factor" not in Path("a/log-sections.toml").read_text()
 
 
 def in_terminal(command: list[str], answers: list[str]) -> str:
-    """Run a command in a terminal, answer its questions, and return what it prints."""
+    """Run a command in a terminal, answer its questions, the last ones by Enter, and return what it prints."""
     master, slave = pty.openpty()
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, env=environment, close_fds=True)
@@ -168,20 +178,41 @@ def in_terminal(command: list[str], answers: list[str]) -> str:
         output += piece
         if not piece:
             break
-        if output.endswith(": ") and answers:
-            os.write(master, (answers.pop(0) + "\n").encode())
+        if output.endswith(": "):
+            os.write(master, ((answers.pop(0) if answers else "") + "\n").encode())
     process.wait(60)
     os.close(master)
     return output.replace("\r", "")
 
 
+def with_command(folder: Path) -> dict[str, str]:
+    """Return an environment in which ``smajax`` is a command, and make the folder ``bench``."""
+    (folder / "smajax").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m smajax "$@"\n')
+    (folder / "smajax").chmod(0o755)
+    (folder / "bench").mkdir()
+    return os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder}:{os.environ['PATH']}"}
+
+
+@pytest.mark.parametrize("number", range(len(OF_OTHERS)))
+def test_raw_files_of_others_lead_to_a_fit_by_the_commands_of_the_page(shared, tmp_path, number):
+    environment = with_command(tmp_path) | {"SMAJAX_DATA": str(shared / "data")}
+    words = ["sh", "-e", "-c", OF_OTHERS[number]]
+    done = subprocess.run(words, cwd=tmp_path / "bench", env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (document,) = (tmp_path / "bench").glob("*/fit/fit.json")
+    fit = json.loads(document.read_text("utf-8"))
+    assert fit["solver"]["code"] == "converged"
+    estimates = [p for p in fit["parameters"].values() if p["free"]]
+    assert estimates and all(p["lower95"] < p["estimate"] < p["upper95"] for p in estimates)
+    # What the page says: the next two commands are those that the import prints.
+    commands = [line for line in OF_OTHERS[number].splitlines() if re.match("smajax (check|fit)", line)]
+    assert len(commands) == 2 and done.stdout.count("Next: smajax check ") == 1
+
+
 def test_the_page_runs_from_its_first_to_its_last_block(tmp_path):
     blocks = BLOCK.findall(PAGE)
-    assert [language for language, _ in blocks] == ["python", "sh", "sh", "sh", "python"]
-    (tmp_path / "smajax").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m smajax "$@"\n')
-    (tmp_path / "smajax").chmod(0o755)
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    (tmp_path / "bench").mkdir()
+    assert [language for language, _ in blocks] == ["python", "sh", "sh", "sh", "sh", "python"]
+    environment = with_command(tmp_path)
     output = ""
     for language, text in blocks:
         words = ["sh", "-e", "-c", text] if language == "sh" else [sys.executable, "-c", text]

@@ -23,7 +23,9 @@ def ask_in_terminal(question: Question) -> str | None:
     Args:
         question: The question.
     """
-    subject = f"Column '{question.key}'" if question.is_column else question.key.replace("_", " ").capitalize()
+    is_value = "." in question.key and not question.is_column
+    subject = question.key if is_value else question.key.replace("_", " ").capitalize()
+    subject = f"Column '{question.key}'" if question.is_column else subject
     typer.echo(f"\n{subject}: {question.text}.")
     answers = [question.choice, *(other for other in question.others if other != question.choice)]
     for number, answer in enumerate(answers, 1):
@@ -68,7 +70,9 @@ def _in_words(question: Question, answer: str) -> str:
 def _problem(question: Question, answer: str) -> str:
     """Return why an answer is not possible; empty if it is."""
     try:
-        if question.is_column:
+        if question.check is not None:
+            question.check(answer)
+        elif question.is_column:
             parse_answer(question.key, answer)
         else:
             ReadOptions().replace(**{question.key: answer})

@@ -1,6 +1,7 @@
 """Sentences on what was recognised in a file, and questions on what is doubtful."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class Question:
         others: Other possible answers.
         is_column: Whether the answer says what the column ``key`` is; otherwise it is a value of the option.
         option: Option of the command line with the same effect.
+        check: Function that raises ``InputError`` for an answer that is not possible; ``None`` where the kind of the
+            question says what is possible.
     """
 
     key: str
@@ -37,3 +40,4 @@ class Question:
     others: tuple[str, ...] = ()
     is_column: bool = True
     option: str = ""
+    check: Callable[[str], object] | None = field(default=None, compare=False, repr=False)

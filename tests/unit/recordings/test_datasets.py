@@ -18,7 +18,7 @@ def test_the_list_names_source_licence_and_hashes():
     shipped = [d for d in catalogue.values() if d.folder is not None]
     public = [d for d in catalogue.values() if d.folder is None]
     assert {d.name for d in shipped} >= {"dead-weight", "bias-spring", "rotary", "testing-machine", "isobaric"}
-    assert len(public) == 10
+    assert len(public) == 12
     for dataset in public:
         assert dataset.description
         assert dataset.licence
