@@ -150,7 +150,9 @@ def test_a_terminal_asks_until_an_answer_is_possible(log):
     command = [sys.executable, "-m", "smajax", "import", "log.csv", "--out", "a"]
     output = in_terminal(command, ["force", FORCE, "dead-wait", "dead-weight", "1 kg", "0.2 mm"])
     assert "Rig: bias-spring is suggested, since duty heats the wire, and the force changes" in output
-    assert "'dead-wait' is not a kind of rig" in output and "wire.diameter: '1 kg' is not possible" in output
+    assert (
+        "'dead-wait' is not a kind of rig" in output and "wire.diameter: '1 kg': the unit 'kg' does not fit" in output
+    )
     rig = sma.read_rig("a/log-rig.toml")
     assert rig.kind == "dead-weight" and float(rig.plant.wire.diameter) == pytest.approx(0.2e-3)
     assert "1  leave it out  (Enter)" in output and "'force' has no unit" in output

@@ -26,6 +26,7 @@ from smajax.recordings.readers.base import (
 )
 from smajax.recordings.readers.encoding import decode_row, open_as_utf8
 from smajax.recordings.readers.header_rows import has_header, is_value, read_header_rows
+from smajax.recordings.readers.quoted_rows import QUOTED_ROWS_NOTE, are_rows_quoted, divide_row
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
 
 # Bytes that are read at a time: no effect on the numbers; large enough that the overhead of a block is negligible.
@@ -66,6 +67,8 @@ class CsvTable(Table):
             self._data_start = file.tell()
             lines = [file.readline(_LONGEST_ROW) for _ in range(_ROWS_LOOKED_AT)]
         self._header_row = options.skip_rows + 1
+        texts = [line.decode("utf-8", "replace").rstrip("\r\n") for line in lines]
+        self._quoted_rows = are_rows_quoted(texts, options.delimiter)
         self._read_header_rows([line for line in lines if line], options)
 
     def _read_header_rows(self, lines: Sequence[bytes], options: ReadOptions) -> None:
@@ -80,7 +83,7 @@ class CsvTable(Table):
             self._refuse_title(first, cells)
         result = read_header_rows(str(self.path), self._header_row, cells, options)
         self.headers: tuple[str, ...] = result.headers
-        self.notes: tuple[str, ...] = result.notes
+        self.notes: tuple[str, ...] = (*((QUOTED_ROWS_NOTE,) * self._quoted_rows), *result.notes)
         self.first_row: int = self._header_row + result.rows
         self._data_start += sum(len(line) for line in lines[: result.rows])
         self.first_cells: Sequence[Sequence[Any]] = cells[result.rows : result.rows + ROWS_WITH_STAMPS]
@@ -240,6 +243,8 @@ class CsvTable(Table):
 
     def _plain_numbers(self, block: bytes) -> np.ndarray | None:
         """Return all columns of a block that has only finite numbers in full rows, else ``None``."""
+        if self._quoted_rows:
+            block = block.replace(b'"', b"")
         allowed = b"0123456789+-eE \n" + self.decimal.encode() + self.delimiter.encode()
         if block.translate(None, allowed) or not block.strip():
             return None
@@ -293,7 +298,7 @@ class CsvTable(Table):
     def _cells(self, line: bytes, row: int) -> list[str]:
         try:
             text = decode_row(line, self._encoding).rstrip("\r\n")
-            return [cell.strip() for cell in next(csv.reader([text], delimiter=self.delimiter), [""])]
+            return divide_row(text, self.delimiter, self._quoted_rows)
         except UnicodeDecodeError as error:
             problem = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"
             raise InputError(f"{self.path}: row {row}: {problem}: save the file as UTF-8") from None

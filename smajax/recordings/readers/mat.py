@@ -16,7 +16,7 @@ from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
 from smajax.recordings.readers.mat5 import Mat5Variables
 from smajax.recordings.readers.mat73 import Mat73Variables, is_version_73
-from smajax.recordings.readers.mat_variables import MatVariable, MatVariables, object_error
+from smajax.recordings.readers.mat_variables import MatVariable, MatVariables, cells_error, object_error
 
 _UNITS = "units"
 
@@ -85,6 +85,7 @@ class MatTable(Table):
         structs = [name for name, v in variables.items() if v.kind == "struct"]
         numbers = [name for name, v in variables.items() if v.kind == "numbers"]
         objects = [name for name, v in variables.items() if v.kind == "object"]
+        cells = {name: v for name, v in variables.items() if v.is_cells}
         choice = ""
         if len(variables) == 1 and (matrices or structs):
             choice = next(iter(variables))
@@ -98,6 +99,8 @@ class MatTable(Table):
             cure = f'name one of them, as in variable = "{structs[0]}" under [recording] in the rig'
             message = f"{self.path}: there is no vector, and the structs are {', '.join(structs)}: {cure}"
             raise InputError(message, code="mat-variable", cure=cure, variable=structs[0])
+        elif not numbers and cells:
+            raise cells_error(self.path, cells)
         elif not numbers and objects:
             raise object_error(f"{self.path}: variable '{objects[0]}'", variables[objects[0]])
         if choice:
@@ -120,6 +123,8 @@ class MatTable(Table):
             path.append(part)
         if variable.kind == "object":
             raise object_error(f"{self.path}: variable '{name}'", variable)
+        if variable.is_cells:
+            raise cells_error(self.path, {name: variable})
         if variable.kind not in ("numbers", "struct"):
             problem = f"its values are not real numbers (type {variable.class_name})"
             raise InputError(f"{self.path}: variable '{name}': {problem}: name a matrix or a struct by variable")
@@ -185,6 +190,8 @@ class MatTable(Table):
             cure = f'name it by variable = "{name}" under [recording] in the rig, or save its fields as vectors'
             message = f"{place}: this is a struct and not a vector: {cure}"
             raise InputError(message, code="mat-variable", cure=cure, variable=name)
+        if variable.is_cells:
+            raise cells_error(self.path, {name: variable})
         if variable.kind != "numbers":
             problem = f"the values are not real numbers (type {variable.class_name})"
             raise InputError(f"{place}: {problem}: save a vector of doubles")

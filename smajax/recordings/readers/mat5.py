@@ -182,7 +182,7 @@ def _head(head: bytes, order: str) -> tuple[str, MatVariable]:
 def _described(value: Any) -> MatVariable:
     """Return what a field of a struct is, as scipy reads it."""
     array = np.asarray(value)
-    name = array.dtype.name
+    name = "cell" if array.dtype == object else array.dtype.name
     if array.dtype.names is not None:
         is_object = type(value).__name__ in ("MatlabObject", "MatlabOpaque")
         return MatVariable("object" if is_object else "struct", array.shape, "object" if is_object else "struct")

@@ -1,7 +1,9 @@
 """Variables of a MATLAB file of any version: the kind and the values of each one."""
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -24,6 +26,11 @@ class MatVariable:
     kind: Kind
     shape: tuple[int, ...]
     class_name: str
+
+    @property
+    def is_cells(self) -> bool:
+        """Whether it is a cell array."""
+        return self.class_name == "cell"
 
     @property
     def is_vector(self) -> bool:
@@ -67,6 +74,25 @@ class MatVariables(abc.ABC):
         Args:
             name: Name of the variable.
         """
+
+
+def cells_error(path: Path, variables: Mapping[str, MatVariable]) -> InputError:
+    """Return the error of cell arrays, of which each cell may be a vector of another recording.
+
+    Args:
+        path: The file.
+        variables: The cell arrays.
+    """
+    names = list(variables)
+    shape = " x ".join(str(size) for size in variables[names[0]].shape)
+    listed = f"variable '{names[0]}' is a cell array of {shape}" if len(names) == 1 else ""
+    listed = listed or f"variables {', '.join(names)} are cell arrays, the first of {shape}"
+    pairs = list(zip(("temperature", "strain"), names[-2:], strict=False))
+    vectors = "".join(f"{channel} = {name}{{1}}; " for channel, name in pairs)
+    saved = ", ".join(f"'{channel}'" for channel, _ in pairs)
+    cure = f"save the vectors of one recording under the names of their channels, as in MATLAB by {vectors}"
+    cure += f"save('run1.mat', {saved})"
+    return InputError(f"{path}: {listed}: {cure}", code="mat-cells", cure=cure)
 
 
 def object_error(place: str, variable: MatVariable) -> InputError:

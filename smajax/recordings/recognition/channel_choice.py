@@ -78,6 +78,8 @@ def _numbered_or_first(group: list[ColumnChoice], values: Mapping[int, Floats], 
         why = f"it changes most ({range_text(_finite(values[best.index]))})"
     else:
         best, why = direct[0], "it is the first of them"
+        if len(direct) == 1:
+            why = f"the others are indirect by a word in their names ({', '.join(_INDIRECT)})"
     text = f"columns {headers} are all {channel}, and one is needed: '{best.header}' was taken, as {why}"
     other = next(c for c in group if c is not best)
     option = f"--channel '{other.header} = {other.text}'"

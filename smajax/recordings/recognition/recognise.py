@@ -169,10 +169,11 @@ def unrecognised(recognition: Recognition) -> InputError:
     listed = "; ".join(f"'{c.header}': {c.question.text}" for c in columns if c.question)
     if recognition.options.header is False and len(columns) == len(recognition.columns):
         names = ",".join(c.question.others[0] for c in columns if c.question)
-        cure = f"name the columns by --columns, for example --columns '{names}', with - for one to leave out"
+        example = f"for example --columns '{names}' (columns in Python), with - for one to leave out"
+        cure = f"name the columns by --columns, {example}"
     else:
         example = next((c.question.option for c in columns if c.question), "--columns")
-        cure = f"say what they are, for example by {example}"
+        cure = f"say what they are, for example by {example} (channels in Python)"
     problem = f"no column is recognised as a channel ({listed})" if listed else "no column is recognised as a channel"
     return InputError(f"{recognition.path}: {problem}: {cure}")
 

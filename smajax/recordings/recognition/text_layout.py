@@ -8,6 +8,7 @@ from pathlib import Path
 from smajax.errors import InputError, shortened
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.encoding import decode_row, open_as_utf8, utf16_of
+from smajax.recordings.readers.quoted_rows import are_rows_quoted, divide_row
 from smajax.recordings.recognition.findings import Finding, Question
 from smajax.recordings.recognition.row_findings import header_findings
 from smajax.recordings.recognition.rows import RowRoles, count_values, find_rows, usual_width
@@ -139,9 +140,10 @@ def _score(
 def _divided(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     """Return the cells of rows, as the reader divides them; none of a row that it cannot divide."""
     rows = []
+    quoted = are_rows_quoted(lines, delimiter)
     for line in lines:
         try:
-            rows.append([cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [""])])
+            rows.append(divide_row(line, delimiter, quoted))
         except csv.Error:
             rows.append([])
     return rows
@@ -158,10 +160,6 @@ def _shifted(roles: RowRoles, rows: int) -> RowRoles:
 
 def _no_table(path: Path, lines: Sequence[str]) -> InputError:
     """Return the error of a file without rows of numbers."""
-    quoted = [line for line in lines if line.startswith('"') and line.endswith('"') and len(line) > 1]
-    if lines and len(quoted) > len(lines) / 2:
-        cure = "remove the quotation marks at the ends of the rows"
-        return InputError(f"{path}: every row is in quotation marks as a whole, so that it is a single cell: {cure}")
     example = f" (row 1 is '{shortened(lines[0])}')" if lines else ""
     cure = "save the recording as a table, one row per sample"
     return InputError(f"{path}: no row of numbers was recognised in the first {len(lines)} rows{example}: {cure}")

@@ -32,6 +32,12 @@ def write_73(path: Path, variables: dict[str, Any]) -> None:
                 write(group.create_group(name) if name not in group else group[name], key, part)
             group[name].attrs["MATLAB_class"] = np.bytes_("struct")
             return
+        if isinstance(value, np.ndarray) and value.dtype == object:  # cells: references to data of their own
+            cells = [group.file.create_dataset(f"#refs#/{name}{k}", data=cell).ref for k, cell in enumerate(value.flat)]
+            references = group.create_dataset(name, value.T.shape, h5py.ref_dtype)
+            references[...] = np.array(cells, object).reshape(value.T.shape)
+            references.attrs["MATLAB_class"] = np.bytes_("cell")
+            return
         codes = np.array([[ord(c)] for c in value], np.uint16) if isinstance(value, str) else None
         data = codes if codes is not None else np.atleast_2d(np.asarray(value, float)).T
         group.create_dataset(name, data=data).attrs["MATLAB_class"] = np.bytes_(
@@ -91,6 +97,8 @@ def test_what_was_chosen_is_noted(read):
     assert notes[0] == "the columns of variable 'data' were read" and notes[1].startswith("the rows of variable 'data'")
 
 
+CELLS = np.empty((1, 2), object)
+CELLS[0, :] = [TIME, CURRENT]
 REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "no names": ({"data": MATRIX}, {}, "wire.mat: variable 'data': the matrix has 5 rows and 3 columns without names: set columns ="),
     "other number of names": ({"data": MATRIX}, {"columns": COLUMNS[:2]}, "variable 'data': the matrix has 5 rows and 3 columns, and 2 columns are named: name every column"),
@@ -100,6 +108,9 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "misspelt field": ({"run": {"data": MATRIX}}, {"columns": COLUMNS, "variable": "run.date"}, "variable 'run' has no field 'date' (did you mean 'data'?)"),
     "names of vectors": ({**VECTORS, "units": UNITS}, {"columns": COLUMNS}, "columns name those of a matrix, and the file has no single matrix: leave columns out"),
     "bad cell of a matrix": ({"data": np.where(MATRIX == 1.5, np.nan, MATRIX)}, {"columns": COLUMNS}, "wire.mat: row 4, column 'current [A]': the value is not finite: correct it, or leave such rows out"),
+    "cells": ({"T": CELLS, "E": CELLS}, {}, "wire.mat: variables T, E are cell arrays, the first of 1 x 2: save the vectors of one recording under the names of their channels, as in MATLAB by temperature = T{1}; strain = E{1}; save('run1.mat', 'temperature', 'strain')"),
+    "cells of a struct": ({"run": {"T": CELLS, "k": TIME}}, {"variable": "run.T"}, "variable 'run.T' is a cell array of "),
+    "cells next to vectors": ({**VECTORS, "temperature": CELLS, "units": {**UNITS, "temperature": "degC"}}, {}, "variable 'temperature' is a cell array of 1 x 2: save"),
     "text": ({"note": "a b", **VECTORS}, {"variable": "note"}, "variable 'note': its values are not real numbers (type "),
     "struct as a channel": ({**VECTORS, "force": {"x": TIME}, "units": {**UNITS, "force": "N"}}, {}, "variable 'force': this is a struct and not a vector: name it by variable = \"force\""),
 }  # fmt: skip

@@ -12,6 +12,7 @@ import pytest
 import scipy.io
 from typer.testing import CliRunner
 
+import smajax as sma
 from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files.rig_file import parse_rig
@@ -423,3 +424,28 @@ def test_text_of_other_endings_is_read(tmp_path, ending):
     assert recording.time.tolist() == [0.0, 1.0] and recording.channels["current"].tolist() == [1.0, 2.0]
     with pytest.raises(InputError, match=r"give --delimiter|delimiter = "):
         read_recording(tmp_path / f"a{ending}")
+
+
+QUOTED = {
+    "as one cell": '"time [s],current [A]"\n"0,0.1"\n"1,0.2"\n',
+    "with names in marks": '"""time [s]"",""current [A]"""\n"0,0.1"\n"1,0.2"\n',
+    "with a title": '"Test, of Monday"\n"time [s],current [A]"\n"0,0.1"\n"1,0.2"\n',
+    "with units": '"time,current"\n"s,A"\n"0,0.1"\n"1,0.2"\n',
+}
+
+
+@pytest.mark.parametrize("kind", QUOTED)
+def test_rows_in_quotation_marks_as_a_whole_are_divided(tmp_path, kind):
+    path = tmp_path / "log.csv"
+    path.write_text(QUOTED[kind])
+    recording = read_recording(path, skip_rows=int(kind == "with a title"))
+    assert recording.time.tolist() == [0, 1] and recording.channels["current"].tolist() == [0.1, 0.2]
+    assert "every row is in quotation marks as a whole, which were taken off" in recording.notes
+    assert sma.import_recording(path).recordings[0].channels["current"].tolist() == [0.1, 0.2]
+
+
+def test_a_remark_in_quotation_marks_stays_one_cell(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text('time [s],current [A],remark\n0,0.1,"warm, dry"\n1,0.2,"wet, cold"\n')
+    recording = read_recording(path, ignore=["remark"])
+    assert recording.channels["current"].tolist() == [0.1, 0.2] and not any("marks" in n for n in recording.notes)
