@@ -74,7 +74,8 @@ def tuning_summary(doc: Mapping[str, Any]) -> str:
         words += f" With the weights of the file the loop is not stable, so the effort weight was raised to {weight:g}."
     if doc["problems"]:
         words += " But " + "; ".join(doc["problems"]) + "."
-    return words + _margin_warning(doc) + _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
+    words += _margin_warning(doc) + _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
+    return words + "".join(f" {note}." for note in doc.get("reference_notes") or ())
 
 
 def _feedforward_words(doc: Mapping[str, Any]) -> str:

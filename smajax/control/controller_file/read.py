@@ -81,6 +81,7 @@ class ControllerFile(TuningTask):
         seed: Seed of all random numbers.
         robust: Section [robust]; ``None`` if there is none.
         place: What messages call it, such as its path.
+        notes: Sentences on a recorded reference, such as its channels that are not used.
     """
 
     name: str
@@ -89,6 +90,7 @@ class ControllerFile(TuningTask):
     seed: int = 0
     robust: Robust | None = None
     place: str = "controller"
+    notes: tuple[str, ...] = ()
 
 
 class _Units(NamedTuple):
@@ -144,7 +146,8 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     loop, gain_units = _loop(data, rig, head, units, (period, system.wires, output))
     rest = system.observe(system.start(), jnp.zeros(system.wires))
     rest_value = float(rest[units.channel])
-    scenario = read_scenario(data, path.parent, rig, (units.channel, units.value, period), rest_value, tune.seed)
+    channel = (units.channel, units.value, period)
+    scenario, notes = read_scenario(data, path.parent, rig, channel, rest_value, tune.seed)
     reference = np.asarray(scenario.reference)
     if not scenario.changes and not np.ptp(np.append(reference, rest_value)) > 0.0:
         raise InputError(
@@ -155,6 +158,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     _check_jumps(scenario, period, settle, limits)
     return ControllerFile(
         name=path.name,
+        notes=notes,
         system=system,
         loop=loop,
         scenario=scenario,

@@ -49,8 +49,8 @@ def read_scenario(
     sampled_channel: tuple[str, str, float],
     rest_value: float,
     seed: int,
-) -> Scenario:
-    """Read the scenario of a controller file.
+) -> tuple[Scenario, tuple[str, ...]]:
+    """Return the scenario of a controller file, and notes on a recorded reference.
 
     Args:
         data: Sections of the file by name.
@@ -68,7 +68,7 @@ def read_scenario(
     time, values, initial = reader.recorded(folder, rig) if section.kind == "recorded" else reader.generated()
     draws = jnp.asarray(np.random.default_rng(seed).standard_normal(len(time)))
     changes = _changes(data.get("change", []), rig, time)
-    return Scenario(jnp.asarray(values), jnp.asarray(initial), draws, changes)
+    return Scenario(jnp.asarray(values), jnp.asarray(initial), draws, changes), tuple(reader.notes)
 
 
 def _reference_section(data: Any) -> ReferenceSection:
@@ -96,6 +96,7 @@ class _ReferenceReader:
     ):
         self.section, self.period_text, self.rest_value = section, period_text, rest_value
         self.channel, self.unit, self.period = sampled_channel
+        self.notes: list[str] = []
 
     def recorded(self, folder: Path, rig: Rig) -> tuple[np.ndarray, np.ndarray, float]:
         """Return a recorded reference, interpolated at the samples.
@@ -116,6 +117,11 @@ class _ReferenceReader:
             ignore=rig.channels.ignore,
             options=rig.recording,
         )
+        others = [name for name in recording.channels if name != self.channel]
+        self.notes += [f"{recording.name}: {note}" for note in recording.notes]
+        if others:
+            note = f"recorded and not used, since the reference is the {self.channel}: {', '.join(others)}"
+            self.notes.append(f"{recording.name}: {note}")
         duration = float(recording.time[-1] - recording.time[0]) + self.period
         time = _sample_times(duration, self.period, "file")
         values = references.recorded(time, recording.time, recording.channels[self.channel])

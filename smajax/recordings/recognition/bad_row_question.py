@@ -47,7 +47,7 @@ def bad_row_question(choices: Sequence[ColumnChoice], values: Mapping[int, Float
     text = "; ".join(sentences)
     if not restarts.any():
         return Question("on_bad_rows", text, "drop", ("refuse",), False, "--on-bad-rows refuse")
-    dropped = len(time) - len(rows_to_keep(~(unreadable | impossible), time, may_repeat=False))
+    dropped = len(unreadable) - len(rows_to_keep(~(unreadable | impossible), time, may_repeat=False))
     text += f"; split begins a recording where the clock begins again, drop would leave out {dropped} rows"
     return Question("on_bad_rows", text, "split", ("drop", "refuse"), False, "--on-bad-rows drop")
 

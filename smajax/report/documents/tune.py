@@ -117,6 +117,9 @@ class TuneDocument(Document):
     feedforward: FeedforwardEntry | None = Field(None, description="fit of the feedforward; absent without one")
     pulses: PulsesEntry | None = Field(None, description="pulses of the command; absent without a carrier")
     believes: list[str] | None = Field(None, description="channels that the filter measures; absent without a filter")
+    reference_notes: list[str] | None = Field(
+        None, description="sentences on a recorded reference; absent where there are none"
+    )
     summary: str = Field(description="the result in sentences")
 
     @model_validator(mode="after")

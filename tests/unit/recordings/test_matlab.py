@@ -108,7 +108,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "misspelt field": ({"run": {"data": MATRIX}}, {"columns": COLUMNS, "variable": "run.date"}, "variable 'run' has no field 'date' (did you mean 'data'?)"),
     "names of vectors": ({**VECTORS, "units": UNITS}, {"columns": COLUMNS}, "columns name those of a matrix, and the file has no single matrix: leave columns out"),
     "bad cell of a matrix": ({"data": np.where(MATRIX == 1.5, np.nan, MATRIX)}, {"columns": COLUMNS}, "wire.mat: row 4, column 'current [A]': the value is not finite: correct it, or leave such rows out"),
-    "cells": ({"T": CELLS, "E": CELLS}, {}, "wire.mat: variables T, E are cell arrays, the first of 1 x 2: save the vectors of one recording under the names of their channels, as in MATLAB by temperature = T{1}; strain = E{1}; save('run1.mat', 'temperature', 'strain')"),
+    "cells": ({"A": CELLS, "B": CELLS}, {}, "wire.mat: variables A, B are cell arrays, the first of 1 x 2: save the vectors of one recording under the names of their channels, as in MATLAB by temperature = A{1}; strain = B{1}; save('run1.mat', 'temperature', 'strain')"),
     "cells of a struct": ({"run": {"T": CELLS, "k": TIME}}, {"variable": "run.T"}, "variable 'run.T' is a cell array of "),
     "cells next to vectors": ({**VECTORS, "temperature": CELLS, "units": {**UNITS, "temperature": "degC"}}, {}, "variable 'temperature' is a cell array of 1 x 2: save"),
     "text": ({"note": "a b", **VECTORS}, {"variable": "note"}, "variable 'note': its values are not real numbers (type "),
