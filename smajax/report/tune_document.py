@@ -83,7 +83,7 @@ def _optional_entries(study: ControllerTuning) -> dict[str, Any]:
     """Return entries that only some controllers have: feedforward, pulses, instruments of the filter."""
     entries: dict[str, Any] = {}
     if study.settings.notes:
-        entries["reference_notes"] = list(study.settings.notes)
+        entries["recording_notes"] = list(study.settings.notes)
     settings, loop = study.settings, study.tuned.loop
     if study.identified is not None:
         entries["feedforward"] = _feedforward_entry(settings, study.identified)

@@ -75,7 +75,7 @@ def tuning_summary(doc: Mapping[str, Any]) -> str:
     if doc["problems"]:
         words += " But " + "; ".join(doc["problems"]) + "."
     words += _margin_warning(doc) + _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
-    return words + "".join(f" {note}." for note in doc.get("reference_notes") or ())
+    return words + "".join(f" {note}." for note in doc.get("recording_notes") or ())
 
 
 def _feedforward_words(doc: Mapping[str, Any]) -> str:

@@ -81,7 +81,7 @@ class ControllerFile(TuningTask):
         seed: Seed of all random numbers.
         robust: Section [robust]; ``None`` if there is none.
         place: What messages call it, such as its path.
-        notes: Sentences on a recorded reference, such as its channels that are not used.
+        notes: Sentences on recordings that the file names, such as their channels that are not used.
     """
 
     name: str
@@ -156,6 +156,10 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     weights, settle = read_objective(tune.objective)
     limits = read_limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", system.wires)))
     _check_jumps(scenario, period, settle, limits)
+    feedforward = None
+    if "feedforward" in data:
+        feedforward = read_feedforward(data["feedforward"], path, rig, head, (units.command, units.channel))
+        notes += feedforward.notes
     return ControllerFile(
         name=path.name,
         notes=notes,
@@ -167,9 +171,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         weights=weights,
         settle=settle,
         limits=limits,
-        feedforward=read_feedforward(data["feedforward"], path, rig, head, (units.command, units.channel))
-        if "feedforward" in data
-        else None,
+        feedforward=feedforward,
         band=quantity_at(tune.band, "1", "tune.band", least=_MIN_BAND),
         starts=tune.starts,
         seed=tune.seed,

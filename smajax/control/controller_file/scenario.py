@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters
+from smajax.control.controller_file.recording_notes import recording_notes
 from smajax.control.controller_file.schema import ChangeSection, ReferenceSection
 from smajax.control.loop import references
 from smajax.control.loop.rollout import Scenario
@@ -117,11 +118,7 @@ class _ReferenceReader:
             ignore=rig.channels.ignore,
             options=rig.recording,
         )
-        others = [name for name in recording.channels if name != self.channel]
-        self.notes += [f"{recording.name}: {note}" for note in recording.notes]
-        if others:
-            note = f"recorded and not used, since the reference is the {self.channel}: {', '.join(others)}"
-            self.notes.append(f"{recording.name}: {note}")
+        self.notes += recording_notes(recording, [self.channel], f"the reference is the {self.channel}")
         duration = float(recording.time[-1] - recording.time[0]) + self.period
         time = _sample_times(duration, self.period, "file")
         values = references.recorded(time, recording.time, recording.channels[self.channel])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from smajax import parameters
+from smajax.control.controller_file.recording_notes import recording_notes
 from smajax.control.controller_file.renamed_keys import with_current_parameters
 from smajax.control.controller_file.schema import (
     ControllerSection,
@@ -88,7 +89,8 @@ def read_feedforward(data: Any, path: Path, rig: Rig, head: ControllerSection, u
         options=rig.recording,
     )
     series = Series(section.recording, loop.time, loop.channels[control], loop.channels[channel])
-    return Feedforward(section.operators, measured=series)
+    notes = recording_notes(loop, (control, channel), f"the feedforward is fitted to {control} and {channel}")
+    return Feedforward(section.operators, measured=series, notes=notes)
 
 
 def read_bounds(tune: TuneSection, loop: ClosedLoop, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:

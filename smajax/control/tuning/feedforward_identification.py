@@ -54,11 +54,13 @@ class Feedforward(NamedTuple):
         command_range: Smallest and largest command of the simulated cycle, internal unit; ``None`` for the range in
             which it has hysteresis.
         measured: A measured cycle that is used instead of a simulated one.
+        notes: Sentences on its recording.
     """
 
     operators: int
     command_range: tuple[float, float] | None = None
     measured: Series | None = None
+    notes: tuple[str, ...] = ()
 
 
 class IdentifiedFeedforward(NamedTuple):

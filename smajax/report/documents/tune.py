@@ -117,8 +117,8 @@ class TuneDocument(Document):
     feedforward: FeedforwardEntry | None = Field(None, description="fit of the feedforward; absent without one")
     pulses: PulsesEntry | None = Field(None, description="pulses of the command; absent without a carrier")
     believes: list[str] | None = Field(None, description="channels that the filter measures; absent without a filter")
-    reference_notes: list[str] | None = Field(
-        None, description="sentences on a recorded reference; absent where there are none"
+    recording_notes: list[str] | None = Field(
+        None, description="sentences on the recordings of the controller file; absent where there are none"
     )
     summary: str = Field(description="the result in sentences")
 

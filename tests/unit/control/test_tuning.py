@@ -638,6 +638,7 @@ def test_infinite_margins_in_the_summary():
         doc | {"gains": table}
     )
     assert "instead of settling" in tuning_summary(doc | {"objective": {"settle": True}})
+    assert tuning_summary(doc | {"recording_notes": ["r.csv: row 2 dropped"]}).endswith(" r.csv: row 2 dropped.")
     output = tuning_summary(doc | {"believes": ["displacement", "voltage"]})
     assert (
         "uses the estimate of a filter that measures displacement and voltage" in output
@@ -949,6 +950,18 @@ def test_references_of_a_controller_file(tmp_path, of):
     )
     recorded = of(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "reference.csv"\n'))
     np.testing.assert_allclose(np.asarray(recorded.scenario.reference)[[0, 2, 4, 5]], [0.0, 1e-3, 2e-3, 2.5e-3])
+    assert not recorded.notes
+    (tmp_path / "reference.csv").write_text(
+        "time [s],displacement [mm],force [N]\n" + "\n".join(f"{0.1 * (k - (k == 9)):.1f},{k % 5},1" for k in range(99))
+    )
+    rows = '[recording]\non_bad_rows = "drop"\n'
+    (tmp_path / "rig.toml").write_text(RIG.read_text() + rows)
+    (tmp_path / "c.toml").write_text(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "reference.csv"\n'))
+    notes = read_controller(tmp_path / "c.toml", read_rig(tmp_path / "rig.toml")).notes
+    assert notes == (
+        "reference.csv: 1 of 99 rows in which time does not increase dropped on request: row 11",
+        "reference.csv: recorded and not used, since the reference is the displacement: force",
+    )
     wave = of(FILE.replace(STAIRS, SINE))
     assert float(wave.scenario.reference.min()) == pytest.approx(1e-3) and float(
         wave.scenario.reference.max()
