@@ -71,6 +71,7 @@ _ROW_NUMBERS = _words("index row rows sample samples nr no n # id count counter"
 _BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<](?P<unit>[^\])>]*)[\])>]\s*$")
 _SEPARATED = re.compile(r"(?P<name>.+?)(\s*/\s+|\s+/\s*|\s+in\s+|,\s*)(?P<unit>[^\s,/]+)$")
 _OWN_HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+_SEPARATORS = r"[_ .-]"
 _PARTS = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöü])|[A-ZÄÖÜ]?[^\W\d_A-ZÄÖÜ]+|#|\d+")
 
 
@@ -110,7 +111,7 @@ def read_header(header: str) -> HeaderReading:
         header: The header.
     """
     name, unit_text = split_unit(header)
-    words = _PARTS.findall(name)
+    words = _words_of(name)
     other = next((word for word in words if word.lower() in _OTHER_QUANTITY), "")
     channel, word = _channel_in(name, words)
     if not unit_text and len(words) > 1 and words[-1] in SUFFIXES and words[-1] != word:
@@ -145,6 +146,13 @@ def split_unit(header: str) -> tuple[str, str]:
     if match is None or (match.re is _SEPARATED and channel_of_unit(match["unit"]) is None):
         return header.strip(), ""
     return match["name"].strip(), match["unit"].strip()
+
+
+def _words_of(name: str) -> list[str]:
+    """Return the words of a name; a unit after its last separator, such as mN, is one word."""
+    last = re.split(_SEPARATORS, name)[-1]
+    head = name[: len(name) - len(last)]
+    return [*_PARTS.findall(head), last] if head and last in SUFFIXES else _PARTS.findall(name)
 
 
 def _channel_in(name: str, words: list[str]) -> tuple[str | None, str]:

@@ -6,6 +6,7 @@ import numpy as np
 import openpyxl
 import pytest
 
+import smajax as sma
 from smajax.errors import InputError
 from smajax.recordings.recognition.answers import answer_text, answers_by_header, parse_answer
 from smajax.recordings.recognition.clock import time_scale
@@ -320,3 +321,50 @@ def test_answers_on_the_command_line_name_their_column():
 def test_an_answer_for_a_column_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"there is no column 'tmp' \(did you mean 'temp'\?\)"):
         taken(tmp_path / "log.csv", table({"time": TIMES, "temp": temperature}), {"tmp": "temperature [degC]"})
+
+
+@pytest.mark.parametrize(
+    ("header", "channel", "unit"),
+    [
+        ("force_mN", "force", "mN"),
+        ("load_kN", "force", "kN"),
+        ("current_mA", "current", "mA"),
+        ("i_mA", "current", "mA"),
+        ("v_mV", "voltage", "mV"),
+        ("power_mW", "power", "mW"),
+        ("stress_MPa", "stress", "MPa"),
+        ("T_degC", "temperature", "degC"),
+        ("Fz_N", "force", "N"),
+        ("tempC", "temperature", "degC"),
+    ],
+)
+def test_a_unit_after_the_last_separator_keeps_its_prefix(header, channel, unit):
+    reading = read_header(header)
+    assert (reading.channel, reading.unit) == (channel, unit)
+
+
+# Neighbours of exports of instruments: text in bytes, with the same cycle.
+def cycle(row: str, end: str = "\n") -> str:
+    return "".join(row.format(t=5 * k, T=20 + 2 * k, e=4 - k / 10, s=100 + 0.1 * (k % 3)) + end for k in range(40))
+
+
+EXPORTS = {
+    "title, units and decimal commas": (
+        "Versuch 7\r\n\r\nZeit;Temperatur;Dehnung;Spannung\r\ns;°C;%;MPa\r\n" + cycle("{t};{T};{e:.2f};{s:.1f}", "\r\n")
+    ).replace(".", ",").encode("cp1252"),
+    "UTF-16 with tabs": (
+        "Time [s]\tTemp [°C]\tStrain [%]\tStress [MPa]\n" + cycle("{t}\t{T}\t{e:.2f}\t{s:.1f}")
+    ).encode("utf-16-be"),
+    "units as suffixes": ("t_ms,T_C,strain_pct,stress_MPa\n" + cycle("{t}000,{T},{e:.2f},{s:.1f}")).encode(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_neighbours_of_exports_give_the_same_cycle(tmp_path, kind):
+    path = tmp_path / "cycle.csv"
+    path.write_bytes(EXPORTS[kind])
+    (recording,) = sma.import_recording(path).recordings
+    assert recording.time[-1] == pytest.approx(195.0)
+    ends = {name: (values[0], values[-1]) for name, values in recording.channels.items()}
+    assert ends["temperature"] == pytest.approx((20.0, 98.0)) and ends["strain"] == pytest.approx((0.04, 0.001))
+    assert ends["stress"] == pytest.approx((1.0e8, 1.0e8))
