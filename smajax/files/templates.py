@@ -55,6 +55,19 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
     return rig, example_rig, recording, others
 
 
+def template_note(rig: Path) -> str:
+    """Return the note on a heat balance without latent heat (``latent_heat_note``) for a rig file; empty if none.
+
+    Args:
+        rig: The rig file that was written.
+    """
+    from smajax.files.latent_heat_note import latent_heat_note
+    from smajax.files.rig_file import read_rig
+
+    read = read_rig(rig)
+    return latent_heat_note(read.plant, read.fit)
+
+
 def is_actuator_kind(kind: str) -> bool:
     """Return whether a kind is that of an actuator, which has metrics and no recordings."""
     return data_path("actuators", kind, "rig.toml").is_file()

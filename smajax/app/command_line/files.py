@@ -65,7 +65,7 @@ def init(
     ] = Path(),
 ) -> None:
     """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
-    from smajax.files.templates import is_actuator_kind, write_actuator_example, write_example
+    from smajax.files.templates import is_actuator_kind, template_note, write_actuator_example, write_example
 
     if is_actuator_kind(kind.value):
         rig, sweep_file = write_actuator_example(kind.value, out)
@@ -83,6 +83,8 @@ def init(
             typer.echo(f"      smajax tune {example} {path} --out {out / 'tuned'}")
         else:
             typer.echo(f"      smajax sweep {path} --out {out / 'swept'}")
+    if note := template_note(rig):
+        typer.echo(f"Note: {note}.")
 
 
 @with_reading

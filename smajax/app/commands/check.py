@@ -14,6 +14,7 @@ from smajax.channels import channel_unit
 from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
 from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
+from smajax.files.latent_heat_note import latent_heat_note
 from smajax.files.rig_file import Rig, read_rig
 from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
@@ -64,7 +65,7 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     observed = ", ".join(f"{c} (noise {noises[c]})" if c in noises else c for c in rig.fit.observe)
     lines += ["", f"Fitted and scored: {observed}; needed in a recording: {', '.join(rig.plant.signals)}."]
     lines.append(f"A fit begins at {rig.fit.starts} point{'s' * (rig.fit.starts != 1)}, seed {rig.fit.seed}.")
-    lines += [f"Note: {note}." for note in rig.notes]
+    lines += [f"Note: {note}." for note in (*rig.notes, latent_heat_note(rig.plant, rig.fit)) if note]
     lines += [f"Note: {note}" for note in check_dissipation(rig.plant, [r.channels for r in recordings])]
     for recording in recordings:
         lines += ["", *_describe_recording(rig, recording)]
