@@ -46,8 +46,9 @@ def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -
     confusable = [
         k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in in_model
     ]
+    share = {k: 1.0 if effects[k].all_or_nothing else _START_STRENGTH for k in confusable}
     starts = [
-        remaining.with_effect(other, {f"effects.{other}.strength": _START_STRENGTH * effects[other].typical, **shape})
+        remaining.with_effect(other, {f"effects.{other}.strength": share[other] * effects[other].typical, **shape})
         for other in confusable
         for shape in replacement_shapes(evaluator, other, key, refit)
     ]

@@ -85,13 +85,14 @@ class EffectParameters:
     def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
         """Return the shapes at which an effect is tried: each usual value of its first shape parameter, SI.
 
-        Usual onset times are shares of the duration.
+        Usual onset times are shares of the duration, usual places of a stop those of the recorded motion.
         """
         shapes = self.effects[key].shapes
         if not shapes:
             return [()]
         (name, values), *_ = shapes
-        return [((name, v * self.duration if name == "instant" else v),) for v in values]
+        unit = {"instant": self.duration, "place": self.value(f"effects.{key}.place") if name == "place" else 1.0}
+        return [((name, v * unit.get(name, 1.0)),) for v in values]
 
 
 def effect_kinds(plant: Plant) -> dict[str, type[AbstractEffect]]:
@@ -120,19 +121,27 @@ def possible_effects(
     }
     in_plant = {e.key: dataclasses.replace(e, strength=jnp.asarray(0.0)) for e in plant.effects}
     candidates = {
-        key: _zero_effect(kind, recordings) if key in catalogue() else in_plant[key]
+        key: _zero_effect(kind, plant, recordings) if key in catalogue() else in_plant[key]
         for key, kind in effect_kinds(plant).items()
         if key not in modelled and not kind.unavailable_reason(capabilities)
     }
     return tuple(modelled), modelled | candidates
 
 
-def _zero_effect(kind: type[AbstractEffect], recordings: Sequence[Recording]) -> AbstractEffect:
-    """An effect of strength 0; its reference current, where it has one, is the largest of the recordings."""
-    values = {"strength": jnp.asarray(0.0)}
-    if "reference" in declarations(kind):
+def _zero_effect(kind: type[AbstractEffect], plant: Plant, recordings: Sequence[Recording]) -> AbstractEffect:
+    """An effect of strength 0; its reference current and its place, where it has them, are those of the recordings."""
+    values, declared = {"strength": 0.0}, declarations(kind)
+    if "reference" in declared:
         currents = [np.max(np.abs(v)) for r in recordings for c, v in r.channels.items() if c.startswith("current")]
-        declared = declarations(kind)["reference"]
-        largest = float(max(currents, default=0.0)) or 1.0
-        values["reference"] = jnp.asarray(min(max(largest, declared.lower), declared.upper))
-    return kind(**values)  # pyright: ignore[reportCallIssue]
+        values["reference"] = float(max(currents, default=0.0)) or 1.0
+    if "place" in declared and (motion := _largest_motion(plant, recordings)):
+        values["place"] = motion
+    limited = {name: min(max(v, declared[name].lower), declared[name].upper) for name, v in values.items()}
+    return kind(**{name: jnp.asarray(v) for name, v in limited.items()})  # pyright: ignore[reportCallIssue]
+
+
+def _largest_motion(plant: Plant, recordings: Sequence[Recording]) -> float:
+    """Largest motion of the wire since the first row, m; 0 if it is not recorded."""
+    series = (r.channels.get(plant.mechanism.coordinate) for r in recordings)
+    motions = [float(np.nanmax(values - values[0])) for values in series if values is not None]
+    return float(max(motions, default=0.0) * plant.mechanism.wire_motion_per_coordinate)

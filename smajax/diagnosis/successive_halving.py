@@ -96,11 +96,11 @@ class _Starts:
     def __init__(self, evaluator: CandidateEvaluator, near: Sequence[Candidate], far: Sequence[Candidate], stride: int):
         self._problem, self._stride = evaluator.problem, stride
         nominal = self._problem.nominal
-        self.near = [self._search(c, _near_strength(c), c.parent.base) for c in near]
-        self.far = [self._search(c, _far_strength(c), nominal, near_nominal=True) for c in far]
+        self.near = [self._search(c, self._near_strength(c), c.parent.base) for c in near]
+        self.far = [self._search(c, self._far_strength(c), nominal, near_nominal=True) for c in far]
         # The largest gains start a second time with their shape held: a shape may drift away if it is freed too early.
         promising = sorted((c for c in near if c.gain > 0.0 and c.shape), key=lambda c: -c.gain)[:_HELD_SHAPES]
-        self.near += [self._search(c, _near_strength(c), c.parent.base, hold_shapes=True) for c in promising]
+        self.near += [self._search(c, self._near_strength(c), c.parent.base, hold_shapes=True) for c in promising]
         # Near the noise the largest gain is trusted: its search continues although the cost of others falls sooner,
         # because it may need many steps along a curved valley.
         trusted = trusted_candidate(evaluator, near)
@@ -127,13 +127,15 @@ class _Starts:
         shape = {f"effects.{key}.{name}": value for name, value in candidate.shape}
         return candidate.parent.effect_set.with_effect(key, {f"effects.{key}.strength": strength, **shape})
 
+    def _near_strength(self, candidate: Candidate) -> float:
+        if self._problem.effects[candidate.key].all_or_nothing:
+            return 1.0
+        return min(abs(candidate.strength) or _SMALL_STRENGTH, _SMALL_STRENGTH)
 
-def _near_strength(candidate: Candidate) -> float:
-    return min(abs(candidate.strength) or _SMALL_STRENGTH, _SMALL_STRENGTH)
-
-
-def _far_strength(candidate: Candidate) -> float:
-    return min(max(abs(candidate.strength), _MIN_FAR_STRENGTH), _MAX_FAR_STRENGTH)
+    def _far_strength(self, candidate: Candidate) -> float:
+        if self._problem.effects[candidate.key].all_or_nothing:
+            return 1.0
+        return min(max(abs(candidate.strength), _MIN_FAR_STRENGTH), _MAX_FAR_STRENGTH)
 
 
 def _halve(

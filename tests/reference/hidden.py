@@ -29,7 +29,8 @@ class Hidden(NamedTuple):
     ``r_strain`` of the R-phase comes about by a normal distribution around ``r_above`` (K above the martensite start temperature, 15 MPa/K
     more under stress) of standard deviation ``r_spread``, of the martensite in the share ``r_kept``, and ``r_hump`` is the share by which
     all of it raises the resistivity. ``ceiling`` is the supply's voltage, ``shift`` what a cycle adds to the transformation temperatures,
-    ``arm`` the change of the load over the stroke, ``set_strain`` what the first heating takes away. ``probe_lag`` (s) and
+    ``stop`` is the motion in m at which a rigid stop holds the wire, ``end_of_travel`` that at which the sensor stays behind while the wire
+    goes on. ``arm`` the change of the load over the stroke, ``set_strain`` what the first heating takes away. ``probe_lag`` (s) and
     ``probe_pickup`` (K/A) are the thermocouple's.
     """
 
@@ -75,6 +76,8 @@ class Hidden(NamedTuple):
     set_strain: float = 0.0
     probe_lag: float = 0.0
     probe_pickup: float = 0.0
+    stop: float = math.inf
+    end_of_travel: float = math.inf
 
 
 @njit(cache=True)
@@ -125,13 +128,32 @@ def _rho(m, hidden, d, w, t, s, ambient):
 
 
 @njit(cache=True)
-def _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step):
+def _at_stop(m, hidden, wire, load, d, w, t, s, after, lost, shift, shortest):
+    """Return the stress of a wire that is no shorter than the strain ``shortest``: that of the load, or more."""
+    below, above = load, load + 2e9
+    d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, load)
+    if _strain(m, hidden, d1, w1, after, load, wire.ambient, lost) >= shortest:
+        return load
+    for _ in range(50):
+        stress = 0.5 * (below + above)
+        d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
+        if _strain(m, hidden, d1, w1, after, stress, wire.ambient, lost) > shortest:
+            above = stress
+        else:
+            below = stress
+    return 0.5 * (below + above)
+
+
+@njit(cache=True)
+def _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step, shortest):
     """Return the stress of the wire at the end of a step to a temperature.
 
     Under friction the one within its reach that keeps the length, or that at the end of its reach; in grease the one that is the load and
     the drag of the rate at which it contracts.
     """
     if hidden.friction == 0.0 and hidden.viscous == 0.0:
+        if shortest > -math.inf:
+            return _at_stop(m, hidden, wire, load, d, w, t, s, after, lost, shift, shortest)
         return load
     ambient = wire.ambient
     held_strain = _strain(m, hidden, d, w, t, s, ambient, lost)
@@ -165,6 +187,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
     sleeve = crimps = travel = 0.0
     slow = remainder = 1.0
     start = _strain(m, hidden, d, w, t, s, ambient, 0.0) + hidden.set_strain
+    shortest = start - hidden.stop / wire.length
     ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
     fine[0], x[0], warm[0], volts[0] = (
         time[0],
@@ -195,7 +218,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
             for _ in range(44):
                 middle = 0.5 * (low + high)
                 half = 0.5 * (t + middle)
-                stress = _stress(m, hidden, wire, load, d, w, t, s, middle, lost, shift, step)
+                stress = _stress(m, hidden, wire, load, d, w, t, s, middle, lost, shift, step, shortest)
                 d1, w1 = _fractions(m, hidden, d, w, t - shift, s, middle - shift, stress)
                 rho = _rho(m, hidden, 0.5 * (d + d1), 0.5 * (w + w1), half, stress, ambient)
                 through = min(i, hidden.ceiling / (rho * wire.length / section))
@@ -209,7 +232,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
                 else:
                     low = middle
             after = 0.5 * (low + high)
-            stress = _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step)
+            stress = _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step, shortest)
             d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
             travel += abs(d1 + w1 - xi)
             if d1 + w1 < xi:
@@ -248,7 +271,8 @@ def _behind(fine, x, hidden):
     y = np.empty(x.size)
     out = x[0]
     for k in range(x.size):
-        out = min(max(out, x[k] - 2.0 * hidden.play), x[k])
+        seen = min(x[k], hidden.end_of_travel)
+        out = min(max(out, seen - 2.0 * hidden.play), seen)
         y[k] = out - hidden.slack * out / math.sqrt(hidden.slack_span**2 + out**2)
     return _late(fine, y, hidden.lag) if hidden.lag > 0.0 else y
 

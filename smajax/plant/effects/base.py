@@ -57,7 +57,10 @@ class AbstractEffect(CheckedModule):
             ``smajax.effects.CAPABILITIES``, which ``Plant.capabilities`` explains.
         other_channels: Channels that ``displacement`` or ``reading`` uses in addition to the one that it changes.
         shapes: Further declared fields, such as a time constant, with the values that a search tries (an ``instant`` as
-            a share of the recording's length): ``(("onset", (0.01, 0.02)),)`` for a field ``onset``.
+            a share of the recording's length, a ``place`` as a share of the largest recorded motion):
+            ``(("onset", (0.01, 0.02)),)`` for a field ``onset``.
+        all_or_nothing: Whether it is there completely or not at all, as a rigid stop is: a search then starts at its
+            typical strength, because a small share of it is of another form.
         no_mean_effect: For an effect that only adds scatter, the reason why it cannot be detected in the mean of a
             residual.
         absorbed_from: Share of its influence that free parameters have to compensate for it to count as absorbed. It is
@@ -74,6 +77,7 @@ class AbstractEffect(CheckedModule):
     needs: ClassVar[tuple[str, ...]] = ()
     other_channels: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[Shapes] = ()
+    all_or_nothing: ClassVar[bool] = False
     no_mean_effect: ClassVar[str] = ""
     # Everything but rounding and the linearisation's own error; chosen by trial, tests/unit/diagnosis holds it.
     absorbed_from: ClassVar[float] = 1.0 - 1e-7
