@@ -118,13 +118,15 @@ def diagnose(
         wall_time=time.perf_counter() - began,
         seed=seed,
     )
-    code = Cancelled.exit_code if result.interrupted else 0
+    failed = [f"{f['recording']}: {f['code']}: {f['text']}" for f in document["failures"] if f["when"] == "after"]
+    failure = NumericsError.exit_code if failed else 0
+    code = Cancelled.exit_code if result.interrupted else failure
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
         run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": _inputs(rig, recordings)},
         files=_files(rig, text, setup, result),
-        reason="interrupted with the effects so far" if code else "",
+        reason="interrupted with the effects so far" if result.interrupted else "; ".join(failed),
         result=result,
     )
 

@@ -17,6 +17,7 @@ from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.report import prediction
 from smajax.report.document_entries import recording_entry
+from smajax.simulation.physical_limits import without_impossible_rows
 from smajax.simulation.run import simulate
 from smajax.simulation.status import SimulationStatus
 
@@ -43,7 +44,8 @@ def predict(
     """Predict the response of a rig to the inputs of a recording, as ``smajax simulate`` does.
 
     Among the saved files, simulation.csv is a recording with time, inputs and all channels of the plant, in the units
-    of the recording for channels that it has. If the simulation fails, it has the rows before the failure.
+    of the recording for channels that it has. If the simulation fails, it has the rows before the failure; a state that
+    no wire has, such as one beyond melting, is a failure.
 
     Args:
         rig: The rig, its file, or a dictionary with the sections of one.
@@ -68,6 +70,7 @@ def predict(
     with clock.time("simulate"):
         result = simulate(rig.plant, read, interpolation=rig.interpolation, throw=False)
         channels = {c: np.asarray(v) for c, v in result.channels.items()}
+        channels = without_impossible_rows(channels, np.asarray(result.possible))
         status = SimulationStatus(int(result.status))
     reporter.finish("writing the report")
     rows = _rows_before_failure(channels)

@@ -219,7 +219,8 @@ class CandidateEvaluator:
         problem = self.problem
         predicted = problem.predict(refit.effect_set, refit.base, SELECT)
         channel = problem.channels[0]
-        rmse = float(np.sqrt(np.mean(problem.series(predicted, SELECT)[channel] ** 2))) * problem.noise[channel]
+        reported, _ = problem.report(refit, SELECT)
+        rmse = float(np.sqrt(np.mean(problem.series(reported, SELECT)[channel] ** 2))) * problem.noise[channel]
         train = problem.reduced_chi2(refit.residual, TRAIN) if math.isfinite(refit.chi2) else math.inf
         return CandidateFit(refit, train, problem.reduced_chi2(predicted, SELECT), rmse)
 
@@ -231,13 +232,13 @@ class CandidateEvaluator:
     def log_distance_from_typical(self, fit: CandidateFit) -> float:
         """Return the squared logarithmic distance of a fit's last effect from its typical strength and shapes.
 
-        It is the sum of the squares of log(strength / typical strength) and, for each shape but an onset time, of the
-        logarithm of its ratio to the nearest usual value.
+        It is the sum of the squares of log(strength / typical strength) and, for each shape but an onset time or a
+        place, of the logarithm of its ratio to the nearest usual value.
         """
         effect, values = self.problem.effects[fit.key], fit.refit.values
         distance = math.log(max(abs(values[f"effects.{fit.key}.strength"]) / effect.typical, 1e-9)) ** 2
         for name, usual in effect.shapes:
             value = values.get(f"effects.{fit.key}.{name}", usual[0])
-            if name != "instant" and min(value, *usual) > 0.0:
+            if name not in ("instant", "place") and min(value, *usual) > 0.0:
                 distance += math.log(value / min(max(value, min(usual)), max(usual))) ** 2
         return distance

@@ -26,7 +26,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm
@@ -92,6 +92,16 @@ class SlottedModel(eqx.Module):
         """Simulate the plant in each recording."""
         problem, base = self._fill(vector)
         return problem.trajectories(base)
+
+    def statuses(self, vector: Float[Array, " p"], trajectories: Trajectory) -> Int[Array, " r"]:
+        """Return the status code of each recording, with the limits of a wire.
+
+        Args:
+            vector: Base parameters, then slots.
+            trajectories: The trajectories of this vector.
+        """
+        problem, base = self._fill(vector)
+        return problem.statuses(base, trajectories)
 
     def blank_trajectories(self, vector: Float[Array, " p"]) -> Trajectory:
         """Return trajectories of the right shapes without a simulation."""
@@ -168,6 +178,12 @@ def _simulate(vector: Float[Array, " p"], model: SlottedModel) -> Simulated:
 simulate: Callable[[jax.Array, SlottedModel], Simulated] = eqx.filter_jit(
     _simulate,
     compiler_options=LARGE_PROGRAM_OPTIONS,  # pyright: ignore[reportCallIssue]
+)
+
+
+# The program that checks what is reported.
+statuses: Callable[[jax.Array, SlottedModel, Trajectory], Int[Array, " r"]] = eqx.filter_jit(
+    lambda vector, model, trajectories: model.statuses(vector, trajectories)
 )
 
 

@@ -67,7 +67,9 @@ def scan_onset_times(evaluator: CandidateEvaluator, search: RefitSearch) -> list
         return problem.start_search(effect_set, refit.base, stride=stride).advance(_SEARCH_STEPS)
 
     def cost_at(name: str, onset: float) -> float:
-        return problem.cost(refit.effect_set.with_values({name: onset}), refit.base, stride)
+        effect_set = refit.effect_set.with_values({name: onset})
+        residual = problem.predict_on(problem.strided_problem(stride), effect_set, refit.base)
+        return float(residual @ residual) if np.all(np.isfinite(residual)) else math.inf
 
     for name in _onset_names(problem, refit):
         onsets = [problem.duration * (k + 0.5) / _SCANNED for k in range(_SCANNED)]

@@ -23,6 +23,7 @@ from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summar
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.errors import NumericsError
 from smajax.progress import CallbackStop, stoppable
+from smajax.simulation.status import SimulationStatus
 
 # Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise. For the
 # holdout, whose inputs may have a larger range, its square. Chosen by trial.
@@ -126,7 +127,7 @@ def reject_if_little_explained(state: SelectionState) -> None:
 
 
 def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
-    """Return whether the RMSE of the holdout falls significantly in any channel, or is finite only with the effects.
+    """Return whether the RMSE of the holdout falls significantly in any channel, or only the effects predict it at all.
 
     Args:
         evaluator: The evaluator, whose seed the bootstrap uses.
@@ -134,9 +135,10 @@ def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit)
         after: The fit with the accepted effects.
     """
     problem = evaluator.problem
-    without, with_effects = (
-        problem.series(problem.predict(refit.effect_set, refit.base, HOLDOUT), HOLDOUT) for refit in (before, after)
-    )
+    residuals, statuses = zip(*(problem.report(refit, HOLDOUT) for refit in (before, after)), strict=True)
+    if statuses[1] is not SimulationStatus.done:
+        return False
+    without, with_effects = (problem.series(residual, HOLDOUT) for residual in residuals)
     return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
 
 

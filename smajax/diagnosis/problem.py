@@ -32,6 +32,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs
 from smajax.simulation.run import simulate_states
+from smajax.simulation.status import SimulationStatus
 
 # Largest number of steps on all samples after a search on some of them, which has come near the optimum. Chosen by
 # trial.
@@ -282,17 +283,6 @@ class DiagnosisProblem(GriddedSplits):
         values = {name: float(point[self.size + j] * scale(name)) for j, name in enumerate(search.free)}
         return search.effect_set.with_values(values), point[: self.size], result
 
-    def cost(self, effect_set: EffectSet, base: np.ndarray, stride: int) -> float:
-        """Compute the sum of the squared residuals on the training split; infinite if the simulation fails.
-
-        Args:
-            effect_set: The effects with their values.
-            base: The base vector, shape ``(p,)``.
-            stride: Distance of the samples that are used (``strided_problem``).
-        """
-        residual = self.predict_on(self.strided_problem(stride), effect_set, base)
-        return float(residual @ residual) if np.all(np.isfinite(residual)) else math.inf
-
     def evaluate(
         self,
         effect_set: EffectSet,
@@ -316,9 +306,8 @@ class DiagnosisProblem(GriddedSplits):
             The residual, shape ``(m,)``, NaN if the simulation fails, and its derivatives with respect to the base
             vector, the parameters ``free`` in units of their scales, and the nodes, shape ``(m, columns)``.
         """
-        if split and self.own_count:
-            base = self._with_own_parameters(effect_set, base, split)
-        return self.evaluate_on(self.problems[split], effect_set, base, free, term, nodes)
+        base, problem = self._base_on(effect_set, base, split), self.problems[split]
+        return self.evaluate_on(problem, effect_set, base, free, term, nodes)
 
     def evaluate_on(
         self,
@@ -356,9 +345,19 @@ class DiagnosisProblem(GriddedSplits):
             base: The base vector, shape ``(p,)``.
             split: Position of the split.
         """
-        if split and self.own_count:
-            base = self._with_own_parameters(effect_set, base, split)
-        return self.predict_on(self.problems[split], effect_set, base)
+        return self.predict_on(self.problems[split], effect_set, self._base_on(effect_set, base, split))
+
+    def report(self, refit: Refit, split: int) -> tuple[np.ndarray, SimulationStatus]:
+        """Compute the residual of a refit on a split for tables and figures, which have no impossible numbers.
+
+        Returns:
+            The residual, shape ``(m,)``, all NaN if a simulation fails, and the largest status code.
+        """
+        base = self._base_on(refit.effect_set, refit.base, split)
+        residual, codes = self._programs.report(self.problems[split], refit.effect_set, base)
+        self.count_simulations(1)
+        status = SimulationStatus(int(np.max(codes)))
+        return residual if status is SimulationStatus.done else np.full(len(residual), math.nan), status
 
     def predict_on(
         self,
@@ -384,8 +383,10 @@ class DiagnosisProblem(GriddedSplits):
         self.count_simulations(1)
         return residual if math.isfinite(float(residual @ residual)) else np.full(len(residual), math.nan)
 
-    def _with_own_parameters(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
+    def _base_on(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
         """The base vector on a split: shared parameters of ``base``, own ones fitted to the anchor rows."""
+        if split == TRAIN or not self.own_count:
+            return base
         start, lower, upper = (
             np.concatenate([base[: self.shared_count], own[self.shared_count :], np.zeros(SLOTS)])
             for own in self._vector_bounds[split]

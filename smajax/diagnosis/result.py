@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -10,7 +11,7 @@ from jaxtyping import Float
 
 from smajax.diagnosis.acceptance import Rejection
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
-from smajax.diagnosis.candidates import EffectSet, Refit
+from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
 from smajax.diagnosis.detectability import Detectability, detectability_from_score
 from smajax.diagnosis.next_experiment import NextExperiment
@@ -22,6 +23,7 @@ from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
 from smajax.diagnosis.step_errors import estimate_step_error
 from smajax.fitting.intervals import covariance_under_autocorrelation
 from smajax.parameters import declarations
+from smajax.simulation.status import SimulationStatus
 
 # Number of blocks into which the bootstrap divides a residual, each longer than its correlation. Chosen by trial.
 _BLOCKS = 50
@@ -67,6 +69,20 @@ class EffectEstimate:
     interval: tuple[float, float] | None
 
 
+class FailedPrediction(NamedTuple):
+    """A prediction that failed, or has states that no wire has.
+
+    Attributes:
+        when: "before" or "after" effects were added.
+        split: Name of the split, one of ``SPLIT_NAMES``.
+        status: Status code of the simulation.
+    """
+
+    when: str
+    split: str
+    status: SimulationStatus
+
+
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The result of a diagnosis.
@@ -98,6 +114,7 @@ class Diagnosis:
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
         interrupted: Whether the progress callback ended the diagnosis early.
+        failures: Predictions of ``before`` and ``after`` that failed; their errors are NaN.
     """
 
     verdict: str
@@ -124,6 +141,7 @@ class Diagnosis:
     nonparametric_fit: NonparametricFit | None
     next_experiment: NextExperiment | None
     interrupted: bool
+    failures: tuple[FailedPrediction, ...] = ()
 
 
 def summarise(
@@ -139,7 +157,7 @@ def summarise(
         conclusion: Verdict, stage and form of the residual, and the next experiment.
     """
     problem, noise = evaluator.problem, evaluator.problem.noise
-    series = _residual_series(evaluator, before, after)
+    series, failures = _residual_series(evaluator, before, after)
     predictions = {
         when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
         for when, splits in series.items()
@@ -168,8 +186,8 @@ def summarise(
         after=after,
         base_fit_converged=state.base_fit_converged,
         reduced_chi2=(
-            problem.reduced_chi2(before.residual, TRAIN),
-            problem.reduced_chi2(after.residual, TRAIN),
+            _reduced_chi2(series["before"][TRAIN]),
+            _reduced_chi2(series["after"][TRAIN]),
             state.chi2_limit,
         ),
         rmse=_errors(series, noise),
@@ -183,19 +201,29 @@ def summarise(
         nonparametric_fit=conclusion.nonparametric_fit,
         next_experiment=conclusion.next_experiment,
         interrupted=state.interrupted,
+        failures=failures,
     )
 
 
 def _residual_series(
     evaluator: CandidateEvaluator, before: Refit, after: Refit
-) -> dict[str, list[dict[str, np.ndarray]]]:
-    """Residuals over the noise by "before" and "after", split and channel."""
-    problem = evaluator.problem
-    residuals = {
-        "before": [before.residual, *(problem.predict(EffectSet(), before.base, k) for k in (SELECT, HOLDOUT))],
-        "after": [after.residual, *(problem.predict(after.effect_set, after.base, k) for k in (SELECT, HOLDOUT))],
-    }
-    return {when: [problem.series(r, k) for k, r in enumerate(splits)] for when, splits in residuals.items()}
+) -> tuple[dict[str, list[dict[str, np.ndarray]]], tuple[FailedPrediction, ...]]:
+    """Residuals over the noise by "before" and "after", split and channel, NaN where it fails; and the failures."""
+    problem, series, failures = evaluator.problem, {}, []
+    for when, refit in (("before", before), ("after", after)):
+        reports = [problem.report(refit, k) for k in (TRAIN, SELECT, HOLDOUT)]
+        series[when] = [problem.series(residual, k) for k, (residual, _) in enumerate(reports)]
+        failures += [
+            FailedPrediction(when, SPLIT_NAMES[k], status)
+            for k, (_, status) in enumerate(reports)
+            if status is not SimulationStatus.done
+        ]
+    return series, tuple(failures)
+
+
+def _reduced_chi2(series: Mapping[str, np.ndarray]) -> float:
+    """Mean square of all channels over the noise."""
+    return float(np.mean(np.concatenate(list(series.values())) ** 2))
 
 
 def _errors(series: dict[str, list[dict[str, np.ndarray]]], noise: dict[str, float]) -> dict[str, dict[str, float]]:

@@ -3,11 +3,20 @@
 import threading
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm
-from smajax.diagnosis.compiled_model import SLOTS, SlottedModel, slot_count, slotted_model, start_compilation
+from smajax.diagnosis.compiled_model import (
+    SLOTS,
+    SlottedModel,
+    simulate,
+    slot_count,
+    slotted_model,
+    start_compilation,
+    statuses,
+)
 from smajax.diagnosis.effect_parameters import EffectParameters
 from smajax.fitting.problem import Problem
 
@@ -82,3 +91,20 @@ class SlottedPrograms:
         slots = [values.get(name, own.value(name)) / own.scale(name) for name in free]
         slots += [0.0] * (term.matrix.shape[1] if term else 0) if nodes is None else list(nodes)
         return np.concatenate([base, slots, np.zeros(slot_count(len(slots)) - len(slots))])
+
+    def report(
+        self, problem: Problem, effect_set: EffectSet, base: Float[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " r"]]:
+        """Simulate, and check the states of the simulation.
+
+        Args:
+            problem: The problem of a split.
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+
+        Returns:
+            The residual, and the status code of each recording with the limits of a wire (``physical_limits``).
+        """
+        vector, model = jnp.asarray(self.vector(effect_set, base, ())), self.model(problem, effect_set)
+        simulated = simulate(vector, model)
+        return np.asarray(simulated.residual), np.asarray(statuses(vector, model, simulated.trajectories))

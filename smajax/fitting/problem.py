@@ -28,6 +28,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
 from smajax.simulation.inputs import Inputs, discretise, recorded_surroundings
+from smajax.simulation.physical_limits import status_with_limits, within_limits
 from smajax.simulation.sensitivities import Trajectory
 from smajax.simulation.status import SimulationStatus
 
@@ -173,6 +174,20 @@ class Problem(AbstractFitProblem):
             return run.trajectory(plant, inputs, self.data.end_index)
 
         return self._for_each_recording(single, vector, None)
+
+    def statuses(self, vector: Float[Array, " p"], trajectories: Trajectory) -> Int[Array, " r"]:
+        """Return the status code of each recording, with the limits of a wire (``physical_limits``).
+
+        Args:
+            vector: The problem's vector (p,).
+            trajectories: Result of ``trajectories`` at this vector.
+        """
+
+        def single(plant: Plant, inputs: Inputs, trajectory: Trajectory) -> jax.Array:
+            states = run.states_along(plant, inputs, trajectory)
+            return status_with_limits(trajectory.status, within_limits(plant, states)[1])
+
+        return self._for_each_recording(single, vector, trajectories)
 
     def blank_trajectories(self, vector: Float[Array, " p"]) -> Trajectory:
         """Return trajectories of zeros with the right shapes, to compile with."""

@@ -11,6 +11,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
 from smajax.simulation.inputs import discretise
+from smajax.simulation.physical_limits import without_impossible_rows
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.step_size import default_step
 
@@ -29,7 +30,7 @@ def simulate_responses(
     """Simulate each recording with its plant, and measure the error of the time steps.
 
     All recordings get grids of one length, so that they share one compiled program. A simulation that fails does not
-    raise: its response has the status.
+    raise: its response has the status, and no values from the first state on that no wire has.
 
     Args:
         plants: One plant for each recording.
@@ -49,6 +50,7 @@ def simulate_responses(
     responses = []
     for result, recording, role in zip(results, recordings, roles, strict=True):
         model = {c: np.asarray(v)[: len(recording)] for c, v in result.channels.items()}
+        model = without_impossible_rows(model, np.asarray(result.possible)[: len(recording)])
         responses.append(Response(recording, role, model, SimulationStatus(int(result.status))))
     errors = _discretisation_errors(plants[0], responses[0], channels, interpolation, step, (grid, samples))
     return responses, errors

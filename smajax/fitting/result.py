@@ -58,7 +58,9 @@ class Response:
         return self.recording.channels[channel] - self.model[channel]
 
     def rmse(self, channel: str) -> float:
-        """Return the root mean square of a channel's residual, SI; NaN where nothing was measured."""
+        """Return the root mean square of a channel's residual, SI; NaN if nothing was measured, or it failed."""
+        if self.status is not SimulationStatus.done:
+            return math.nan
         residual = self.residual(channel)
         measured = residual[np.isfinite(residual)]
         return float(np.sqrt(np.mean(measured**2))) if len(measured) else math.nan
@@ -136,8 +138,10 @@ class FitResult:
             role: ``train`` or ``holdout``.
 
         Returns:
-            The RMSE, SI; ``None`` where nothing was measured.
+            The RMSE, SI; ``None`` where nothing was measured, or where a simulation failed.
         """
+        if any(r.role == role and r.status is not SimulationStatus.done for r in self.responses):
+            return None
         residuals = [r.residual(channel) for r in self.responses if r.role == role]
         measured = np.concatenate([r[np.isfinite(r)] for r in residuals]) if residuals else np.zeros(0)
         return float(np.sqrt(np.mean(measured**2))) if len(measured) else None

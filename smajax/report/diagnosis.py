@@ -61,6 +61,15 @@ def diagnosis_document(
         "rmse": rmse,
         "holdout": _holdout_entry(diagnosis),
         "effect_parameters": [_estimate_entry(estimate) for estimate in diagnosis.estimates],
+        "failures": [
+            {
+                "recording": recordings[SPLIT_NAMES.index(f.split)].name,
+                "when": f.when,
+                "code": f.status.name,
+                "text": f.status.hint,
+            }
+            for f in diagnosis.failures
+        ],
         "evidence": list(evidence),
         "recordings": [recording_entry(r, name) for r, name in zip(recordings, SPLIT_NAMES, strict=True)],
         "left_out": _left_out_entries(left_out, misplaced),

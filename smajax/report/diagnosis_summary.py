@@ -21,6 +21,7 @@ def sentences(doc: Document) -> list[str]:
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
         lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
+    lines += [_failure_sentence(entry) for entry in doc.get("failures", ())]
     lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
     lines += _holdout_sentences(doc)
     if doc.get("interrupted"):
@@ -149,13 +150,20 @@ def _verdict_sentence(doc: Document) -> str:
     return ""
 
 
+def _failure_sentence(entry: Document) -> str:
+    """A sentence about a prediction that failed."""
+    fit = "With the effects" if entry["when"] == "after" else "Without effects"
+    return f"{fit} the prediction of {entry['recording']} failed: {entry['code']}: {entry['text']}."
+
+
 def _error_sentence(doc: Document, channel: str) -> str:
     """A sentence about the error of a channel on the holdout."""
     rmse, floor = doc["rmse"][channel], doc["noise_floor"][channel]["value"]
     auxiliary = ", recorded and not observed," if channel in doc.get("evidence", ()) else ""
     unit = rmse["unit"]
-    before, after = (significant(rmse[f"holdout_{when}"]) for when in ("before", "after"))
+    errors = (rmse[f"holdout_{when}"] for when in ("before", "after"))
+    before, after = ("unknown" if error is None else f"{significant(error)} {unit}" for error in errors)
     return (
-        f"On the holdout the error of {channel}{auxiliary} is {before} {unit} before and {after} {unit} after, "
+        f"On the holdout the error of {channel}{auxiliary} is {before} before and {after} after, "
         f"with a noise of {floor:.3g} {unit}."
     )

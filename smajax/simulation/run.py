@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from smajax import parameters
 from smajax.errors import InputError, NumericsError
@@ -27,6 +27,7 @@ from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
 from smajax.simulation.integration import integrate_vector_field
+from smajax.simulation.physical_limits import status_with_limits, within_limits
 from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.time_stepping import integrate
@@ -43,12 +44,15 @@ class Simulation(eqx.Module):
         channels: Channels by name, shape ``(samples,)`` each, SI and degC.
         state: States at the samples, each leaf with a leading axis of ``samples``.
         status: Status code (``SimulationStatus``).
+        possible: Whether temperatures and strains are within the limits of a wire
+            (``smajax.simulation.physical_limits``) at each sample.
     """
 
     time: Float[Array, " samples"]
     channels: dict[str, Float[Array, " samples"]]
     state: State
     status: Int[Array, ""]
+    possible: Bool[Array, " samples"]
 
 
 def simulate_states(plant: Plant, inputs: Inputs) -> tuple[State, Int[Array, ""]]:
@@ -97,6 +101,17 @@ def trajectory(plant: Plant, inputs: Inputs, end_index: Int[Array, ""] | None = 
         end_index: Grid point at which the simulation may end, as in ``simulate_channels``.
     """
     return Trajectory(*integrate(plant, inputs, flatten_state, end_index))
+
+
+def states_along(plant: Plant, inputs: Inputs, trajectory: Trajectory) -> State:
+    """Return the states of a trajectory at the samples, each leaf with a leading axis of ``samples``.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        trajectory: Its trajectory under them.
+    """
+    return jax.vmap(state_unflattener(plant, inputs))(trajectory.flat_states[inputs.sample_indices])
 
 
 def blank_trajectory(plant: Plant, inputs: Inputs) -> Trajectory:
@@ -156,9 +171,15 @@ def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
         plant: The plant.
         inputs: Its inputs on a grid.
     """
-    states, status = simulate_states(plant, inputs)
+    return _response(plant, inputs, *simulate_states(plant, inputs))
+
+
+def _response(plant: Plant, inputs: Inputs, states: State, status: Int[Array, ""]) -> Simulation:
+    """The response with given states at the samples, and its status with the limits of a wire."""
     channels = observe(plant, states, inputs, plant.observable)
-    return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
+    temperature_holds, strain_holds = within_limits(plant, states)
+    status = status_with_limits(status, strain_holds)
+    return Simulation(inputs.time[inputs.sample_indices], channels, states, status, temperature_holds & strain_holds)
 
 
 @eqx.filter_jit
@@ -176,9 +197,7 @@ def simulate_vector_field(
     Raises:
         InputError: If the plant has no vector field.
     """
-    states, status = integrate_vector_field(plant, inputs, solver, adjoint)
-    channels = observe(plant, states, inputs, plant.observable)
-    return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
+    return _response(plant, inputs, *integrate_vector_field(plant, inputs, solver, adjoint))
 
 
 def simulate(

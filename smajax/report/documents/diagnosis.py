@@ -40,6 +40,15 @@ class LeftOutEntry(Part):
         return self
 
 
+class FailureEntry(Part):
+    """A prediction that failed, or has states that no wire has; its errors are null."""
+
+    recording: str = Field(description="name of the recording")
+    when: Literal["before", "after"] = Field(description="before or after effects were added")
+    code: str = Field(description="code of the failure, such as overheated or overstrained")
+    text: str = Field(description="meaning and cure")
+
+
 class GoodnessOfFit(Part):
     """Reduced chi-squared of the residual: its mean square relative to that of the noise."""
 
@@ -183,6 +192,9 @@ class DiagnosisDocument(Document):
     )
     effect_parameters: list[EffectParameterEntry] = Field(
         [], description="all fitted parameters of the accepted effects; absent in earlier documents"
+    )
+    failures: list[FailureEntry] = Field(
+        [], description="predictions that failed or that no wire has; absent in earlier documents"
     )
     evidence: list[str] = Field(
         description="auxiliary channels: recorded, not observed, and explained up to gain and offset of their sensors"

@@ -62,6 +62,7 @@ from smajax.report.diagnosis_series import prediction_series
 from smajax.report.diagnosis_summary import sentences
 from smajax.report.diagnosis_wording import experiment_text, rejection_text
 from smajax.report.documents.schemas import schemas
+from smajax.simulation.status import SimulationStatus
 
 
 def test_score_estimates_a_planted_strength_beyond_the_free_parameters():
@@ -757,13 +758,16 @@ def test_explained_share_without_a_finite_base_prediction():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "improves"), [(2.0, 1.0, True), (1.0, 1.0, False), (1.0, 2.0, False), (math.nan, 1.0, True)]
+    ("before", "after", "improves"),
+    [(2.0, 1.0, True), (1.0, 1.0, False), (1.0, 2.0, False), (math.nan, 1.0, True), (1.0, math.nan, False)],
 )
 def test_effects_must_improve_the_holdout(before, after, improves):
     noise = np.random.default_rng(1).standard_normal((2, 1000))
     residuals = {(): before * noise[0], ("creep",): after * noise[1]}
+    done, failed = SimulationStatus.done, SimulationStatus.overheated
+    statuses = {(): failed if math.isnan(before) else done, ("creep",): failed if math.isnan(after) else done}
     problem = SimpleNamespace(
-        predict=lambda effect_set, base, k: residuals[effect_set.keys],
+        report=lambda refit, k: (residuals[refit.effect_set.keys], statuses[refit.effect_set.keys]),
         series=lambda residual, k: {"motion": residual},
         channels=("motion",),
     )
