@@ -29,6 +29,8 @@ class RejectionCode(enum.StrEnum):
     selection = "selection"  # reduces the error on the selection split too little
     noise = "noise"  # changes the selection split's prediction by less than the noise
     part_of_excess = "part-of-excess"  # explains too little of a small excess
+    implausible = "implausible"  # brings parameters outside of what an alloy can have
+    zero = "zero"  # has a strength of 0
     unneeded = "unneeded"  # the other effects explain the recordings as well
     swapped = "swapped"  # another effect explains more together with the others
     little_explained = "little-explained"  # all accepted effects together explain too little
@@ -44,7 +46,7 @@ class Rejection(NamedTuple):
         share: Relative fall of the selection split's RMSE ("selection"), or explained share of the excess over the
             noise ("part-of-excess", "little-explained"); else ``None``.
         others: Keys of the effects next to which it was tried ("noise", "part-of-excess"), or of the effect that
-            replaces it ("swapped").
+            replaces it ("swapped"); names of the parameters ("implausible").
     """
 
     key: str

@@ -10,6 +10,7 @@ from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit, RefitSea
 from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.localisation import stage_shares
 from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.plausibility import absent_effects
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import (
     Score,
@@ -31,8 +32,6 @@ FAR_FROM_NOISE = 9.0
 # Largest mean square error by longer steps as a share of the reduced chi-squared: a tenth of the residual. Chosen by
 # trial.
 _MAX_STEP_ERROR = 0.01
-# Share of the typical strength below which a strength counts as 0: a search rarely ends at 0 exactly. Chosen by trial.
-_NEGLIGIBLE = 1e-3
 # Distance from a bound, relative to 1 plus the absolute value, up to which a parameter is on it: rounding.
 _ON_BOUND = 1e-9
 # Largest number of steps of a refit to convergence, and its relative tolerances; on some of the samples the optimum
@@ -226,8 +225,7 @@ class CandidateEvaluator:
 
     def is_negligible(self, fit: CandidateFit) -> bool:
         """Return whether the strength of a fit's last effect is almost 0, so that other parameters improve the fit."""
-        strength = abs(fit.refit.values[f"effects.{fit.key}.strength"])
-        return strength < _NEGLIGIBLE * self.problem.effects[fit.key].typical
+        return fit.key in absent_effects(self.problem, fit.refit)
 
     def log_distance_from_typical(self, fit: CandidateFit) -> float:
         """Return the squared logarithmic distance of a fit's last effect from its typical strength and shapes.

@@ -48,6 +48,7 @@ class Detectability:
         blind_code: Why it is blind; ``None`` otherwise.
         missing: Capabilities that the effect needs and the rig lacks ("needs").
         explanation: The effect's own words why it has no mean effect ("no-mean-effect").
+        excluding: Capabilities of the rig with which it cannot have the effect ("needs").
     """
 
     key: str
@@ -59,6 +60,7 @@ class Detectability:
     blind_code: BlindCode | None = None
     missing: tuple[str, ...] = ()
     explanation: str = ""
+    excluding: tuple[str, ...] = ()
 
 
 class NominalScore(NamedTuple):
@@ -145,9 +147,11 @@ def undetectable(problem: DiagnosisProblem, kind: type[AbstractEffect]) -> Detec
         kind: The effect.
     """
     missing = tuple(sorted(set(kind.needs) - problem.capabilities))
+    excluding = tuple(sorted(set(kind.excluded_by) & problem.capabilities))
     code = BlindCode.no_mean_effect if kind.no_mean_effect else BlindCode.needs
     code = BlindCode.modelled if kind.key in problem.modelled_effects else code
-    return Detectability(kind.key, kind.stage, kind.unit(), "blind", None, (), code, missing, kind.no_mean_effect)
+    head = (kind.key, kind.stage, kind.unit(), "blind", None, (), code, missing, kind.no_mean_effect)
+    return Detectability(*head, excluding)
 
 
 def find_absorbers(

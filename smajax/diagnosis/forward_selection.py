@@ -36,6 +36,7 @@ from smajax.diagnosis.equivalence import is_equivalent
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.onset_times import refine_onsets
 from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.plausibility import plausible_fits, refusal
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.ranking import rank_effects
 from smajax.diagnosis.selection_state import SIGNIFICANCE, SelectionState, chi2_threshold
@@ -195,15 +196,15 @@ def _run_round(
         fits = _fit_first_effects(evaluator, state, report_progress)
     else:
         fits = _fit_further_effects(evaluator, beam, round_index, min_score_gain, report_progress)
-    fits = _converge_worse_fits(evaluator, fits, current)
+    fits = plausible_fits(evaluator.problem, state, _converge_worse_fits(evaluator, fits, current))
     if not fits:
         return []
-    best, fits = _refine_best(evaluator, fits, state.acceptable_chi2)
+    best, fits = _refine_best(evaluator, fits, state)
     if round_index == 0:
         for fit in fits:
             summary = state.ranking[fit.key]
             state.ranking[fit.key] = dataclasses.replace(summary, refit_rmse_select=fit.rmse_select)
-    if reason := rejection(current, best, problem.samples):
+    if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
         state.rejected.append(reason)
         return []
     before, after = math.sqrt(state.base_fit.select_chi2), math.sqrt(best.select_chi2)
@@ -303,13 +304,14 @@ def _converge_worse_fits(
 
 
 def _refine_best(
-    evaluator: CandidateEvaluator, fits: list[CandidateFit], acceptable_chi2: float
+    evaluator: CandidateEvaluator, fits: list[CandidateFit], state: SelectionState
 ) -> tuple[CandidateFit, list[CandidateFit]]:
     """The best fit, converged and compared with confusable effects, and all fits, one for each set of effects."""
     samples = evaluator.problem.samples
     best = evaluator.refit_to_convergence(min(fits, key=lambda fit: fit.total_chi2))
     by_effects: dict[frozenset[str], CandidateFit] = {}
-    all_fits = [best, *fits, *refit_confusable_effects(evaluator, best)]
+    confusable = plausible_fits(evaluator.problem, state, refit_confusable_effects(evaluator, best))
+    all_fits = [best, *fits, *confusable]
     for fit in sorted(all_fits, key=lambda fit: fit.total_chi2):
         by_effects.setdefault(frozenset(fit.keys), fit)
     fits = list(by_effects.values())
@@ -317,7 +319,7 @@ def _refine_best(
     fall = MIN_CHI2_FALL * max(1.0, best.train_chi2) / samples
     if set(fits[0].keys) != set(best.keys) and fits[0].total_chi2 < best.total_chi2 - fall:
         best = evaluator.refit_to_convergence(fits[0])
-    fits = _refit_open_fits_jointly(evaluator, _free_held_parameters(evaluator, best, fits), acceptable_chi2)
+    fits = _refit_open_fits_jointly(evaluator, _free_held_parameters(evaluator, best, fits), state.acceptable_chi2)
     best = min([best, *fits], key=lambda fit: fit.total_chi2)
     other_keys = set(best.keys) - {best.key}
     equally_good = [

@@ -17,6 +17,7 @@ from smajax.diagnosis.next_experiment import propose_experiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit, fit_nonparametric_term
 from smajax.diagnosis.onset_times import onset_prediction_error
 from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.plausibility import absent_effects
 from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summarise
@@ -71,6 +72,9 @@ def diagnose(
     may_continue = _continuation(state, report_progress)
     may_continue("predicting the holdout")
     before, after = _joint_refits(problem, state)
+    while absent := absent_effects(problem, after):
+        _drop_absent(evaluator, state, absent[-1])
+        before, after = _joint_refits(problem, state)
     verdict = _verdict(evaluator, state, after)
     holdout_decided = verdict == "partial"
     if holdout_decided and not improves_holdout(evaluator, before, after):
@@ -219,6 +223,16 @@ def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit)
 def _reject_all(state: SelectionState, code: RejectionCode, share: float | None = None) -> None:
     state.rejected += [Rejection(key, code, share) for key in state.accepted]
     state.equivalent, state.current = {}, state.base_fit
+
+
+def _drop_absent(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> None:
+    """Reject an accepted effect whose strength is 0 in the fit to training and selection split."""
+    state.rejected.append(Rejection(key, RejectionCode.zero))
+    state.equivalent.pop(key, None)
+    remaining = state.current.refit.effect_set.without(key)
+    stride = evaluator.stride(state.current.train_chi2)
+    refit = evaluator.fit(remaining, state.current.refit.base, stride) if remaining.keys else None
+    state.current = state.base_fit if refit is None else evaluator.evaluate(refit)
 
 
 def _locate_residual(

@@ -9,18 +9,20 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from smajax.diagnosis.acceptance import Rejection
+from smajax.diagnosis.acceptance import Rejection, RejectionCode
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
 from smajax.diagnosis.detectability import Detectability, detectability_from_score
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
+from smajax.diagnosis.plausibility import implausible_estimates
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
 from smajax.diagnosis.screening import NORMAL_95, half_width_95
 from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
 from smajax.diagnosis.step_errors import estimate_step_error
+from smajax.files.plausible_ranges import ImplausibleValue, plausible_range
 from smajax.fitting.intervals import covariance_under_autocorrelation
 from smajax.parameters import declarations
 from smajax.simulation.status import SimulationStatus
@@ -60,6 +62,7 @@ class EffectEstimate:
         unit: Its unit.
         meaning: What it is.
         interval: 95 % interval, SI; ``None`` if the recordings do not determine it.
+        plausible: Plausible range, SI: that of ``data/plausible-ranges.toml``, else the declared one.
     """
 
     name: str
@@ -67,6 +70,7 @@ class EffectEstimate:
     unit: str
     meaning: str
     interval: tuple[float, float] | None
+    plausible: tuple[float, float]
 
 
 class FailedPrediction(NamedTuple):
@@ -115,6 +119,7 @@ class Diagnosis:
         next_experiment: The input to run next.
         interrupted: Whether the progress callback ended the diagnosis early.
         failures: Predictions of ``before`` and ``after`` that failed; their errors are NaN.
+        implausible: Parameters of ``after`` outside of what an alloy can have.
     """
 
     verdict: str
@@ -142,6 +147,7 @@ class Diagnosis:
     next_experiment: NextExperiment | None
     interrupted: bool
     failures: tuple[FailedPrediction, ...] = ()
+    implausible: tuple[ImplausibleValue, ...] = ()
 
 
 def summarise(
@@ -193,7 +199,7 @@ def summarise(
         rmse=_errors(series, noise),
         cut95=cut95,
         holdout_decided=conclusion.holdout_decided,
-        rejected=tuple(state.rejected),
+        rejected=_rejections(state),
         intervals=intervals,
         estimates=_effect_estimates(problem, after, intervals),
         predictions=predictions,
@@ -202,6 +208,16 @@ def summarise(
         next_experiment=conclusion.next_experiment,
         interrupted=state.interrupted,
         failures=failures,
+        implausible=implausible_estimates(problem, after),
+    )
+
+
+def _rejections(state: SelectionState) -> tuple[Rejection, ...]:
+    """What was rejected, once each; without an implausible form of an effect that is accepted in another one."""
+    return tuple(
+        dict.fromkeys(
+            r for r in state.rejected if r.code is not RejectionCode.implausible or r.key not in state.accepted
+        )
     )
 
 
@@ -301,10 +317,10 @@ def _effect_estimates(
         declared = declarations(problem.effects[key])
         for name in (name for name in names if name.split(".")[1] == key):
             declaration = declared[name.split(".")[2]]
-            estimate = EffectEstimate(
-                name, refit.values[name], declaration.unit, declaration.meaning, intervals.get(name)
-            )
-            estimates.append(estimate)
+            allowed = plausible_range(name, declaration.unit)
+            ends = (declaration.lower, declaration.upper) if allowed is None else (allowed.lower, allowed.upper)
+            head = (name, refit.values[name], declaration.unit, declaration.meaning)
+            estimates.append(EffectEstimate(*head, intervals.get(name), ends))
     return tuple(estimates)
 
 

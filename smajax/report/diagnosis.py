@@ -19,7 +19,7 @@ from smajax.files.documents import finite_or_none
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis_summary import sentences
 from smajax.report.diagnosis_wording import blind_text, experiment_text, rejection_text
-from smajax.report.document_entries import difference_unit, recording_entry
+from smajax.report.document_entries import difference_unit, implausible_entry, recording_entry
 from smajax.report.documents.diagnosis import DiagnosisDocument
 
 NEXT_INPUT = "next_input.csv"
@@ -70,6 +70,7 @@ def diagnosis_document(
             }
             for f in diagnosis.failures
         ],
+        "implausible": [implausible_entry(value) for value in diagnosis.implausible],
         "evidence": list(evidence),
         "recordings": [recording_entry(r, name) for r, name in zip(recordings, SPLIT_NAMES, strict=True)],
         "left_out": _left_out_entries(left_out, misplaced),
@@ -132,6 +133,7 @@ def _estimate_entry(estimate: EffectEstimate) -> dict[str, Any]:
         "meaning": estimate.meaning,
         "lower95": finite_or_none(low),
         "upper95": finite_or_none(high),
+        "plausible": [finite_or_none(end) for end in estimate.plausible],
     }
 
 

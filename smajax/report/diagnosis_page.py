@@ -21,7 +21,7 @@ _EFFECT_HEAD = (
     "detectable from",
     "absorbed by, or why not",
 )
-_PARAMETER_HEAD = ("parameter of the accepted effects", "estimate", "95 % from", "to", "unit", "meaning")
+_PARAMETER_HEAD = ("parameter of the accepted effects", "estimate", "95 % from", "to", "unit", "plausible", "meaning")
 
 
 def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -120,7 +120,8 @@ def effects_section(doc: Document) -> list[str]:
 def _parameter_row(entry: Mapping[str, Any]) -> tuple[str, ...]:
     cells = (significant(entry[key], 4) for key in ("value", "lower95", "upper95"))
     note = entry["meaning"] if entry["lower95"] is not None else f"{entry['meaning']}; not determined"
-    return (entry["name"], *cells, pages.pretty_unit(entry["unit"]), note)
+    plausible = " to ".join(significant(end) for end in entry.get("plausible") or ())
+    return (entry["name"], *cells, pages.pretty_unit(entry["unit"]), plausible, note)
 
 
 def _effect_row(entry: Mapping[str, Any]) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ def sentences(doc: Document) -> list[str]:
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
         lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
+    lines += [f"{entry['text'][:1].upper()}{entry['text'][1:]}" for entry in doc.get("implausible", ())]
     lines += [_failure_sentence(entry) for entry in doc.get("failures", ())]
     lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
     lines += _holdout_sentences(doc)

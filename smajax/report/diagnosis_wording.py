@@ -24,6 +24,8 @@ def rejection_text(rejection: Rejection) -> str:
             f"explains {percent:.0f} % of the small excess that {others} does not explain: "
             "a cause would explain nearly all of it, an effect that compensates for slightly wrong kinetics does not"
         ),
+        RejectionCode.implausible: f"brings {others} outside of what an alloy can have",
+        RejectionCode.zero: "has a fitted strength of 0",
         RejectionCode.unneeded: "is no longer needed next to the other effects",
         RejectionCode.swapped: f"together with the other effects it explains less than {others}",
         RejectionCode.little_explained: (
@@ -41,7 +43,9 @@ def blind_text(detectability: Detectability) -> str:
     return {
         BlindCode.input: "this input does not show it at any plausible strength",
         BlindCode.modelled: "the rig file has it",
-        BlindCode.needs: f"this rig cannot show it: it needs {', '.join(detectability.missing)}",
+        BlindCode.needs: f"this rig cannot show it: it needs {', '.join(detectability.missing)}"
+        if detectability.missing
+        else f"a rig with {', '.join(detectability.excluding)} cannot have it",
         BlindCode.no_mean_effect: detectability.explanation,
     }[detectability.blind_code]
 

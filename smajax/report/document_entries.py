@@ -3,6 +3,8 @@
 from typing import Any
 
 from smajax.channels import channel_unit
+from smajax.files.documents import finite_or_none
+from smajax.files.plausible_ranges import ImplausibleValue
 from smajax.recordings.recording import Recording
 from smajax.units import conversion
 
@@ -20,6 +22,19 @@ def recording_entry(recording: Recording, role: str) -> dict[str, Any]:
         "rows": len(recording),
         "role": role,
         "notes": list(recording.notes),
+    }
+
+
+def implausible_entry(value: ImplausibleValue) -> dict[str, Any]:
+    """Return the entry of an estimate outside of what an alloy can have."""
+    return {
+        "code": "implausible",
+        "name": value.name,
+        "value": finite_or_none(value.value),
+        "unit": value.unit,
+        "plausible": [value.plausible.lower, value.plausible.upper],
+        "source": value.plausible.source,
+        "text": value.sentence,
     }
 
 

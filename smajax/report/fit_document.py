@@ -8,13 +8,14 @@ import numpy as np
 from smajax import __version__, parameters
 from smajax.files.documents import finite_or_none
 from smajax.files.fit_settings import FitSettings
+from smajax.files.plausible_ranges import implausible_values, plausible_range
 from smajax.files.rig_file import Rig
 from smajax.fitting.fit_warnings import transformation_notices
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.noise import quantisation_noise
 from smajax.fitting.result import Estimate, FitResult
 from smajax.recordings.recording import Recording
-from smajax.report.document_entries import difference_unit, recording_entry
+from smajax.report.document_entries import difference_unit, implausible_entry, recording_entry
 from smajax.report.documents.fit import FitDocument
 from smajax.simulation.status import SimulationStatus
 
@@ -44,6 +45,7 @@ def fit_document(
         for r in result.responses
         if r.status is not SimulationStatus.done
     ]
+    implausible = implausible_values(result.plant, [*result.problem.shared, *result.problem.per_recording])
     document = _head(rig, [r.recording for r in result.responses]) | {
         "parameters": {e.name: estimate_entry(e) for e in result.estimates},
         "fixed": _fixed_entries(rig, result.plant, result.problem.shared + result.problem.per_recording),
@@ -74,7 +76,8 @@ def fit_document(
         },
         "recordings": [recording_entry(r.recording, r.role) for r in result.responses],
         "notices": transformation_notices(result),
-        "warnings": [*failed, *warnings],
+        "warnings": [*failed, *warnings, *(value.sentence for value in implausible)],
+        "implausible": [implausible_entry(value) for value in implausible],
         "seed": result.seed,
         "smajax": __version__,
     }
@@ -130,6 +133,7 @@ def failed_document(
 
 def estimate_entry(estimate: Estimate) -> dict[str, Any]:
     """Return the entry of a free parameter."""
+    allowed = plausible_range(estimate.name, estimate.unit)
     return {
         "estimate": finite_or_none(estimate.estimate),
         "lower95": finite_or_none(estimate.lower95),
@@ -138,6 +142,7 @@ def estimate_entry(estimate: Estimate) -> dict[str, Any]:
         "free": True,
         "at_bound": estimate.at_bound,
         "bounds": [finite_or_none(end) for end in estimate.bounds],
+        "plausible": None if allowed is None else [allowed.lower, allowed.upper],
     }
 
 

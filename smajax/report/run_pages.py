@@ -20,6 +20,7 @@ from smajax.report.parameter_figures import correlation_picture, profile_picture
 from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import Series
 from smajax.report.time_figures import time_picture
+from smajax.units import as_text
 
 
 def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -106,10 +107,18 @@ def rmse_table(doc: Mapping[str, Any]) -> str:
 def parameter_table(doc: Mapping[str, Any]) -> str:
     """Return the table of the parameters of a fit."""
     rows = [
-        (name, estimate, low, high, pretty_unit(unit), note)
+        (name, estimate, low, high, pretty_unit(unit), plausible_text(doc["parameters"][name]), note)
         for name, estimate, low, high, unit, note in summary.parameter_rows(doc)
     ]
-    return table(("parameter", "estimate", "95 % from", "to", "unit", ""), rows, numbers=(1, 2, 3), remark=5)
+    head = ("parameter", "estimate", "95 % from", "to", "unit", "an alloy can have", "")
+    return table(head, rows, numbers=(1, 2, 3), remark=6)
+
+
+def plausible_text(entry: Mapping[str, Any]) -> str:
+    """Return the plausible range of a parameter's entry; empty where there is none, as in earlier documents."""
+    ends = entry.get("plausible") or ()
+    texts = ("" if end is None else as_text(float(f"{end:.4g}"), entry["unit"]) for end in ends)
+    return " to ".join(texts)
 
 
 def _recording_pictures(

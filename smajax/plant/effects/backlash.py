@@ -33,6 +33,7 @@ class Backlash(MechanismEffect):
     typical: ClassVar[float] = 1e-4
     source = "estimate: 0.05 to 0.3 mm"
     confused_with: ClassVar[tuple[str, ...]] = ("coulomb-friction",)
+    excluded_by: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)  # its sensor is at the specimen
     shapes: ClassVar[Shapes] = (("begin", (-0.9, 0.0, 0.9)),)
 
     def displacement(

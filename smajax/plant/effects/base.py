@@ -55,6 +55,8 @@ class AbstractEffect(CheckedModule):
             enough.
         needs: Capabilities without which a rig cannot have or show the effect, such as ``("two wires",)``: words of
             ``smajax.effects.CAPABILITIES``, which ``Plant.capabilities`` explains.
+        excluded_by: Capabilities with which a rig cannot have the effect, such as ``("prescribed strain or stress",)``
+            for a play of the transmission, which a test frame has not.
         other_channels: Channels that ``displacement`` or ``reading`` uses in addition to the one that it changes.
         shapes: Further declared fields, such as a time constant, with the values that a search tries (an ``instant`` as
             a share of the recording's length, a ``place`` as a share of the largest recorded motion):
@@ -75,6 +77,7 @@ class AbstractEffect(CheckedModule):
     source: ClassVar[str] = ""
     confused_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
+    excluded_by: ClassVar[tuple[str, ...]] = ()
     other_channels: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[Shapes] = ()
     all_or_nothing: ClassVar[bool] = False
@@ -105,8 +108,10 @@ class AbstractEffect(CheckedModule):
         Returns:
             The reason; empty if there is none.
         """
-        missing = sorted(set(cls.needs) - capabilities)
-        return cls.no_mean_effect or (f"it needs {', '.join(missing)}" if missing else "")
+        missing, excluding = sorted(set(cls.needs) - capabilities), sorted(set(cls.excluded_by) & capabilities)
+        reasons = [f"it needs {', '.join(missing)}"] * bool(missing)
+        reasons += [f"it cannot be where a rig has {', '.join(excluding)}"] * bool(excluding)
+        return cls.no_mean_effect or "; ".join(reasons)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Any:
         """Return the effect's memory at the first row; by default none.

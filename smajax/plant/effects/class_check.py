@@ -198,6 +198,7 @@ def _word_problems(cls: type[AbstractEffect], effects: Collection[str]) -> list[
     channels = "a channel such as temperature, or current_2 of two wires"
     rules: tuple[tuple[str, str, Collection[str], str], ...] = (
         ("needs", "a capability of rigs", CAPABILITIES, f"{', '.join(RIG_CAPABILITIES)}, CHANNEL or CHANNEL observed"),
+        ("excluded_by", "a capability of rigs", CAPABILITIES, ", ".join(RIG_CAPABILITIES)),
         ("confused_with", "an effect", effects, "an effect of sma.effects.catalogue(), and register that one first"),
         ("other_channels", "a channel", CHANNEL_NAMES, channels),
     )

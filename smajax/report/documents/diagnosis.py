@@ -5,10 +5,19 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from smajax.report.documents.base import Document, Ends, Number, Part
-from smajax.report.documents.parts import NoiseEntry, RecordingEntry, Stage
+from smajax.report.documents.parts import ImplausibleEntry, NoiseEntry, RecordingEntry, Stage
 
 RejectionCode = Literal[
-    "chance", "selection", "noise", "part-of-excess", "unneeded", "swapped", "little-explained", "holdout"
+    "chance",
+    "selection",
+    "noise",
+    "part-of-excess",
+    "implausible",
+    "zero",
+    "unneeded",
+    "swapped",
+    "little-explained",
+    "holdout",
 ]
 _ROLES = ["train", "select", "holdout"]
 
@@ -114,6 +123,7 @@ class EffectParameterEntry(Part):
     meaning: str = Field(description="meaning of the parameter")
     lower95: Number = Field(description="lower end of the 95 % interval; null if the recordings do not determine it")
     upper95: Number = Field(description="upper end of the 95 % interval; null if the recordings do not determine it")
+    plausible: Ends | None = Field(None, description="plausible range; absent in earlier documents, null ends for none")
 
 
 class ExcludedEntry(Part):
@@ -195,6 +205,9 @@ class DiagnosisDocument(Document):
     )
     failures: list[FailureEntry] = Field(
         [], description="predictions that failed or that no wire has; absent in earlier documents"
+    )
+    implausible: list[ImplausibleEntry] = Field(
+        [], description="fitted parameters outside of what an alloy can have; absent in earlier documents"
     )
     evidence: list[str] = Field(
         description="auxiliary channels: recorded, not observed, and explained up to gain and offset of their sensors"

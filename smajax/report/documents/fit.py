@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from smajax.report.documents.base import Document, Ends, Number, Part
-from smajax.report.documents.parts import ChannelValue, NoiseEntry, RecordingEntry
+from smajax.report.documents.parts import ChannelValue, ImplausibleEntry, NoiseEntry, RecordingEntry
 
 
 class ParameterEntry(Part):
@@ -18,6 +18,9 @@ class ParameterEntry(Part):
     free: bool = Field(description="whether it was fitted")
     at_bound: bool = Field(description="whether the estimate is at a bound, and therefore has no interval")
     bounds: Ends = Field(description="lower and upper bound, in the unit; null for none")
+    plausible: Ends | None = Field(
+        None, description="what an alloy can have, in the unit; null where no range is known, or in earlier documents"
+    )
 
     @property
     def value(self) -> float | None:
@@ -147,6 +150,11 @@ class FitDocument(Document):
         default_factory=list, description="sentences that come before all others, such as that nothing transforms"
     )
     warnings: list[str] = Field(description="warnings as sentences")
+    implausible: list[ImplausibleEntry] = Field(
+        default_factory=list,
+        description="fitted parameters outside of what an alloy can have, also among the warnings; absent in earlier "
+        "documents",
+    )
     seed: int = Field(description="seed of all random numbers")
     smajax: str = Field(description="version of smajax that computed the result")
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from smajax.report.documents.base import Number, Part
+from smajax.report.documents.base import Ends, Number, Part
 
 Stage = Literal["drive", "heat", "material", "mechanism", "sensor"]
 
@@ -35,6 +35,18 @@ class NoiseEntry(Part):
         alias="from",
         description="where it comes from: rest, residual differences or rounding (of the recordings), or the rig file",
     )
+
+
+class ImplausibleEntry(Part):
+    """A fitted parameter outside of what an alloy can have."""
+
+    code: Literal["implausible"] = Field(description="code of the warning")
+    name: str = Field(description="name of the parameter; material.hysteresis is that of the fitted temperatures")
+    value: Number = Field(description="the estimate, in the unit")
+    unit: str = Field(description="declared unit")
+    plausible: Ends = Field(description="smallest and largest value that an alloy can have, in the unit")
+    source: str = Field(description="source of the range, with keys of docs/references.bib")
+    text: str = Field(description="the same in a sentence")
 
 
 class Margins(Part):
