@@ -118,15 +118,16 @@ def diagnose(
         wall_time=time.perf_counter() - began,
         seed=seed,
     )
-    failed = [f"{f['recording']}: {f['code']}: {f['text']}" for f in document["failures"] if f["when"] == "after"]
-    failure = NumericsError.exit_code if failed else 0
-    code = Cancelled.exit_code if result.interrupted else failure
+    failed = "; ".join(
+        f"{f['recording']}: {f['code']}: {f['text']}" for f in document["failures"] if f["when"] == "after"
+    )
+    code = Cancelled.exit_code if result.interrupted else NumericsError.exit_code if failed else 0
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
         run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": _inputs(rig, recordings)},
         files=_files(rig, text, setup, result),
-        reason="interrupted with the effects so far" if result.interrupted else "; ".join(failed),
+        reason="interrupted with the effects so far" if result.interrupted else failed,
         result=result,
     )
 

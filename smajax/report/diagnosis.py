@@ -61,15 +61,7 @@ def diagnosis_document(
         "rmse": rmse,
         "holdout": _holdout_entry(diagnosis),
         "effect_parameters": [_estimate_entry(estimate) for estimate in diagnosis.estimates],
-        "failures": [
-            {
-                "recording": recordings[SPLIT_NAMES.index(f.split)].name,
-                "when": f.when,
-                "code": f.status.name,
-                "text": f.status.hint,
-            }
-            for f in diagnosis.failures
-        ],
+        "failures": _failure_entries(diagnosis, recordings),
         "implausible": [implausible_entry(value) for value in diagnosis.implausible],
         "evidence": list(evidence),
         "recordings": [recording_entry(r, name) for r, name in zip(recordings, SPLIT_NAMES, strict=True)],
@@ -92,6 +84,15 @@ def diagnosis_document(
     }
     document["summary"] = " ".join(sentences(document))
     return DiagnosisDocument.check(document)
+
+
+def _failure_entries(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> list[dict[str, str]]:
+    """Predictions that failed, or that no wire has."""
+    names = dict(zip(SPLIT_NAMES, (recording.name for recording in recordings), strict=True))
+    return [
+        {"recording": names[f.split], "when": f.when, "code": f.status.name, "text": f.status.hint}
+        for f in diagnosis.failures
+    ]
 
 
 def _left_out_entries(channels: Mapping[str, ChannelFault], effects: Mapping[str, str]) -> list[dict[str, str]]:
