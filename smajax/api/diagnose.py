@@ -118,18 +118,23 @@ def diagnose(
         wall_time=time.perf_counter() - began,
         seed=seed,
     )
-    failed = "; ".join(
-        f"{f['recording']}: {f['code']}: {f['text']}" for f in document["failures"] if f["when"] == "after"
-    )
-    code = Cancelled.exit_code if result.interrupted else NumericsError.exit_code if failed else 0
+    code, reason = _outcome(result, document)
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
         run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": _inputs(rig, recordings)},
         files=_files(rig, text, setup, result),
-        reason="interrupted with the effects so far" if result.interrupted else failed,
+        reason=reason,
         result=result,
     )
+
+
+def _outcome(result: Diagnosis, document: Mapping[str, Any]) -> tuple[int, str]:
+    """Exit code, and why the study did not succeed: an interruption, or a prediction with the effects that failed."""
+    if result.interrupted:
+        return Cancelled.exit_code, "interrupted with the effects so far"
+    failed = [f"{f['recording']}: {f['code']}: {f['text']}" for f in document["failures"] if f["when"] == "after"]
+    return (NumericsError.exit_code if failed else 0), "; ".join(failed)
 
 
 def _inputs(rig: Rig, recordings: Sequence[Recording]) -> list[str]:

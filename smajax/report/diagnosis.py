@@ -88,7 +88,7 @@ def diagnosis_document(
 
 def _failure_entries(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> list[dict[str, str]]:
     """Predictions that failed, or that no wire has."""
-    names = dict(zip(SPLIT_NAMES, (recording.name for recording in recordings), strict=True))
+    names: dict[str, str] = {split: r.name for split, r in zip(SPLIT_NAMES, recordings, strict=True)}
     return [
         {"recording": names[f.split], "when": f.when, "code": f.status.name, "text": f.status.hint}
         for f in diagnosis.failures
