@@ -44,6 +44,25 @@ def _remaining_share(before: jax.Array, after: jax.Array, exponent: jax.Array) -
     return jnp.where(falling & (after > _COMPLETE * before), first * jnp.exp(-growth * mean), after)
 
 
+def with_shaped_rate(before: Fractions, after: Fractions, exponent: jax.Array) -> Fractions:
+    """Return the fractions after a step whose rate is that of the material law times a power of the remaining share.
+
+    The remaining share is the austenite in the forward transformation, the martensite in the reverse one.
+
+    Args:
+        before: Fractions at the start.
+        after: Fractions at the end by the material law.
+        exponent: The power.
+    """
+    first, last = before.martensite, after.martensite
+    reverse = last < first
+    share = _remaining_share(jnp.where(reverse, first, 1.0 - first), jnp.where(reverse, last, 1.0 - last), exponent)
+    martensite = jnp.where(reverse, share, 1.0 - share)
+    positive = last > _ZERO_FRACTION
+    scale = jnp.where(positive, martensite / jnp.where(positive, last, 1.0), 1.0)
+    return Fractions(after.detwinned * scale, after.twinned * scale)
+
+
 class MinorLoopShape(MaterialEffect):
     """Transformation rate in proportion to (1 - progress)^(1 + s) instead of (1 - progress)."""
 
@@ -59,12 +78,4 @@ class MinorLoopShape(MaterialEffect):
 
         The remaining share is the austenite in the forward transformation, the martensite in the reverse one.
         """
-        first, last = before.martensite, after.martensite
-        reverse = last < first
-        share = _remaining_share(
-            jnp.where(reverse, first, 1.0 - first), jnp.where(reverse, last, 1.0 - last), self.strength
-        )
-        martensite = jnp.where(reverse, share, 1.0 - share)
-        positive = last > _ZERO_FRACTION
-        scale = jnp.where(positive, martensite / jnp.where(positive, last, 1.0), 1.0)
-        return Fractions(after.detwinned * scale, after.twinned * scale)
+        return with_shaped_rate(before, after, self.strength)

@@ -77,6 +77,9 @@ KEYS = [
     "functional-fatigue",
     "transformation-shift",
     "minor-loop-shape",
+    "heating-roundness",
+    "stress-ratcheting",
+    "two-slope-elasticity",
     "gradual-transformation",
     "creep",
     "temperature-distribution",
@@ -175,6 +178,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
             "ratcheting",
             "transformation-shift",
             "temperature-distribution",
+            "stress-ratcheting",
         }
     else:
         assert silent <= {"compliance", "slip", "stress-dependent-strain"}, silent
@@ -526,3 +530,50 @@ def test_an_effect_of_strength_zero_changes_no_bit():
     for key in possible:
         assert np.array_equal(with_effect(key, 0.0), without), key
     assert not np.array_equal(with_effect("latent-heat", 1e7), without)
+
+
+def test_heating_roundness_changes_heating_only():
+    """The rate of the reverse transformation is that of minor-loop-shape, the forward one that of the law."""
+    none = jnp.zeros(1)
+    effect = catalogue()["heating-roundness"](strength=jnp.asarray(0.5))  # pyright: ignore[reportCallIssue]
+    both = MinorLoopShape(strength=jnp.asarray(0.5))
+    high, low = Fractions(jnp.array([0.6]), none), Fractions(jnp.array([0.4]), none)
+    assert effect.modify_fractions(low, high) == high
+    heated = effect.modify_fractions(high, low).detwinned
+    assert heated == both.modify_fractions(high, low).detwinned and heated[0] > 0.4
+
+    def after_heating(strength):
+        return dataclasses.replace(effect, strength=strength).modify_fractions(high, low).detwinned
+
+    slope = jax.jacfwd(after_heating)(jnp.asarray(0.0))
+    change = (after_heating(jnp.asarray(1e-6)) - after_heating(jnp.asarray(0.0))) / 1e-6
+    assert slope[0] > 0.01 and np.asarray(slope) == pytest.approx(np.asarray(change), rel=1e-4)
+
+
+def test_plastic_strain_grows_with_the_power_of_the_stress():
+    """Two cycles at 300 MPa with a power of 3 strain as 2 * 8 cycles at 150 MPa; a slack wire is not strained."""
+    plant = plants.stress_path()
+    phase = np.linspace(0.0, 4.0 * np.pi, 241)
+    temperature = 85.0 - 75.0 * np.cos(phase)
+
+    def last_strain(stress, **values):
+        effect = catalogue()["stress-ratcheting"](**values)
+        inputs = {"temperature": temperature, "stress": np.full(241, stress), "strain": 0.0 * phase}
+        member = dataclasses.replace(plant, effects=(effect,))
+        return float(np.asarray(simulate.simulate(member, plants.recording(inputs)).channels["strain"])[-1])
+
+    for stress, power, cycles in ((150e6, 3.0, 2.0), (300e6, 3.0, 16.0), (0.0, 3.0, 0.0)):
+        added = last_strain(stress, strength=1e-3, power=power) - last_strain(stress)
+        assert added == pytest.approx(1e-3 * cycles, rel=1e-6, abs=1e-12)
+
+
+def test_elastic_part_has_two_slopes():
+    plant = plants.stress_path()
+    effect = catalogue()["two-slope-elasticity"](strength=1e-11, knee=1e8)  # pyright: ignore[reportCallIssue]
+    stress = np.linspace(0.0, 2e8, 41)
+    inputs = plants.recording({"temperature": np.full(41, 150.0), "stress": stress, "strain": 0.0 * stress})
+    strains = [
+        np.asarray(simulate.simulate(dataclasses.replace(plant, effects=effects), inputs).channels["strain"])
+        for effects in ((), (effect,))
+    ]
+    assert strains[1] - strains[0] == pytest.approx(1e-11 * np.maximum(stress - 1e8, 0.0), abs=1e-15)
