@@ -80,6 +80,7 @@ def selected(rounds, monkeypatch):
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
     monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
     monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
+    monkeypatch.setattr(outcome, "absent_effects", lambda *_: ())
     monkeypatch.setattr(outcome, "_verdict", lambda *_: "partial")
     monkeypatch.setattr(outcome, "improves_holdout", lambda *_: True)
     monkeypatch.setattr(outcome, "_locate_residual", lambda *_: ("heat", None))
@@ -124,3 +125,13 @@ def test_part_of_the_holdout_in_the_choice_is_recorded(selected, monkeypatch, ve
     refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert refit.effect_set.keys == after and conclusion.holdout_decided == decided
     assert [(r.key, r.code) for r in selected.rejected] == ([] if after else [("creep", "holdout")])
+
+
+def test_an_effect_of_strength_zero_in_the_last_fit_is_rejected(selected, monkeypatch):
+    """Fitted to both recordings its strength is 0: the diagnosis goes on without it."""
+    monkeypatch.setattr(outcome, "absent_effects", lambda _, refit: refit.effect_set.keys)
+    evaluator = SimpleNamespace(problem=None, stride=lambda chi2: 1)
+    monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, selected))
+    refit, _ = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    assert refit.effect_set.keys == () and selected.current is selected.base_fit
+    assert [(r.key, r.code) for r in selected.rejected] == [("creep", "zero")]
