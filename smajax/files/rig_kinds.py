@@ -67,9 +67,13 @@ class Stages:
         specific = {"drive": self.drive, "heat": self.heat, "material": self.material, **sections}
         wire = WIRES.get(self.kind, self.mechanism.wire_class)
         shared = {"wire": wire, "environment": Environment, "initial": Initial}
-        parts = {section: part for section, part in (specific | shared).items() if declarations(part)}
-        parts |= {"cells": Cells} if self.structure.cells > 1 else {}
-        return parts | ({"grains": Grains} if self.structure.grains > 1 else {})
+        every = (specific | shared).items()
+        parts: dict[str, type[eqx.Module]] = {section: part for section, part in every if declarations(part)}
+        if self.structure.cells > 1:
+            parts["cells"] = Cells
+        if self.structure.grains > 1:
+            parts["grains"] = Grains
+        return parts
 
     @property
     def inert(self) -> frozenset[str]:

@@ -2,8 +2,8 @@
 
 XLA fuses elementwise operations on a CPU, and computes a value again in each fused loop that uses it. For scalars the
 compiler removes the repetition, for arrays it does not: a step of a plant with cells would evaluate the kinetics of its
-grains dozens of times. The body of a loop is compiled separately, and its results are stored once. The loop here has one
-iteration, of which the compiler does not know.
+grains many times. The body of a loop is compiled separately, and its results are stored once. The loop here has
+one iteration, of which the compiler does not know.
 """
 
 from collections.abc import Callable
@@ -28,4 +28,5 @@ def separately(always: Bool[Array, ""], function: Callable[..., Any], *arguments
     shapes = jax.eval_shape(function, *arguments)
 
     undefined = jax.tree.map(lambda shape: jnp.full(shape.shape, jnp.nan, shape.dtype), shapes)
-    return jax.lax.while_loop(lambda carry: carry[0], lambda _: (False, function(*arguments)), (always, undefined))[1]
+    start: Any = (always, undefined)
+    return jax.lax.while_loop(lambda carry: carry[0], lambda _: (False, function(*arguments)), start)[1]

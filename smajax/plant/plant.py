@@ -13,12 +13,12 @@ from jaxtyping import Array, Bool, Float
 from smajax.channels import numbered
 from smajax.numerics.derivative_order import once_differentiable
 from smajax.numerics.nonsmooth import minimum
+from smajax.plant.cells_and_grains import CLAMP
 from smajax.plant.drive import resistance
 from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect, WireState
 from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
-from smajax.plant.stages import CLAMP
 from smajax.plant.state import State
 from smajax.plant.step_solver import StepSolver, newton_corrected
 

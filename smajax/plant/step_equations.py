@@ -83,8 +83,8 @@ class StepEquations(PlantStages):
         """``step_residual`` with the net heat ``rate`` at the start; by the trapezoidal rule if ``coarse``.
 
         The trapezoidal rule is accurate enough for a search, since the last Newton step uses the Hermite-Simpson rule.
-        If ``local``, the residual has the right value and the right derivative by ``end`` only, and the fractions of the
-        state are not those at the end (``_mean_fractions``).
+        If ``local``, the residual has the right value and the right derivative by ``end`` only, and the fractions of
+        the state are not those at the end (``_mean_fractions``).
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(after)
         first, heats = self._wire_state(state), self.temperatures

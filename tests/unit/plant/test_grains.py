@@ -1,6 +1,7 @@
 """Grains: their spread about the transformation temperatures of the whole wire, and partial loops."""
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +27,9 @@ RATES = {
 
 def cycle(temperatures: np.ndarray, grains: Grains | None, law: str = "brinson") -> np.ndarray:
     """Transformation strain along a path of temperatures under a constant stress."""
-    values = {n: v for n, v in plants.MATERIAL.items() if law == "brinson" or not n.startswith("detwinning")}
+    values: dict[str, Any] = {
+        n: v for n, v in plants.MATERIAL.items() if law == "brinson" or not n.startswith("detwinning")
+    }
     values |= {"modulus_martensite": 31.5e9, "thermal_expansion_austenite": 0.0, "thermal_expansion_martensite": 0.0}
     plant = dataclasses.replace(plants.stress_path(), material=MATERIALS[law](**values), grains=grains)
     assert isinstance(plant.mechanism, StressPath)

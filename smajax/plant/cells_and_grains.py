@@ -1,0 +1,156 @@
+"""A plant's wires as cells and grains: means over them, and hooks of effects for each of them.
+
+Temperatures have the shape ``(cells, wires)`` and fractions ``(grains, cells, wires)``, without the axes that there are
+not. For an effect on heat or material each cell is a wire; all other effects get means over the lengths of the wires.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from smajax.plant.cells import Cells
+from smajax.plant.effects.base import AbstractEffect, HeatEffect, MaterialEffect, StageContext, WireState
+from smajax.plant.grains import Grains
+from smajax.plant.heat import AbstractHeat
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism
+from smajax.plant.wire import AbstractWire, Environment
+
+# Key of the temperature of the clamps in a state's memory.
+CLAMP = "clamp"
+# Axis of the cells in the entries of a ``WireState``.
+_CELL_AXES = WireState(None, 0, 0, None, None, 0, None, None)  # pyright: ignore[reportArgumentType]
+
+
+class CellsAndGrains(eqx.Module):
+    """Cells and grains of the wires of a plant.
+
+    Attributes:
+        cells: Cells along each wire; by default none, so that a wire has one temperature.
+        grains: Grains in each cell; by default none, so that all of it follows the law at the same temperatures.
+    """
+
+    cells: Cells | None = eqx.field(default=None, kw_only=True)
+    grains: Grains | None = eqx.field(default=None, kw_only=True)
+    wire: eqx.AbstractVar[AbstractWire]
+    environment: eqx.AbstractVar[Environment]
+    heat: eqx.AbstractVar[AbstractHeat]
+    mechanism: eqx.AbstractVar[AbstractMechanism]
+
+    @property
+    def temperature_shape(self) -> tuple[int, ...]:
+        """Shape of the temperatures of a state: ``(wires,)``, with cells ``(cells, wires)``."""
+        cells = () if self.cells is None else (self.cells.simulated,)
+        return (*cells, self.mechanism.wires)
+
+    @property
+    def temperatures(self) -> int:
+        """Number of temperatures of a state."""
+        return math.prod(self.temperature_shape)
+
+    @property
+    def _always(self) -> Bool[Array, ""]:
+        """A condition that holds (``separately``): a parameter that is hardly ever fitted is within its bounds."""
+        return self.environment.gravity >= 0.0
+
+    def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
+        """The mean of a quantity of the cells over the length of each wire."""
+        if self.cells is None:
+            return values
+        shares = self.cells.shares(self.wire, self.heat, self.environment)
+        return shares @ values
+
+    def _per_cell(self, values: Float[Array, " wires"]) -> Float[Array, "*cells wires"]:
+        """A quantity that is equal along each wire, for all its cells."""
+        return values if self.cells is None else jnp.broadcast_to(values, self.temperature_shape)
+
+    def _mean_over_grains(self, fractions: Fractions) -> Fractions:
+        """The fractions of the cells: the mean of those of their grains."""
+        if self.grains is None:
+            return fractions
+        return Fractions(*(jnp.mean(fraction, axis=0) for fraction in fractions))
+
+    def _whole_wires(self, wire_state: WireState) -> WireState:
+        """The wires with the means over their lengths, for effects on the mechanism and the sensors."""
+        if self.cells is None:
+            return wire_state
+        return wire_state._replace(
+            temperature=self._along_wire(wire_state.temperature),
+            fractions=Fractions(*map(self._along_wire, wire_state.fractions)),
+            accumulated_transformation=self._along_wire(wire_state.accumulated_transformation),
+        )
+
+    def _each_grain(
+        self, function: Callable[[AbstractMaterial, Any], Fractions], material: AbstractMaterial, values: Any
+    ) -> Fractions:
+        """Call a function of the law and of further values, with an axis of grains in front, for each grain."""
+        if self.grains is None:
+            return function(material, values)
+        grains = self.grains
+        return jax.vmap(lambda quantile, value: function(grains.material_of(material, quantile), value))(
+            jnp.asarray(grains.quantiles), values
+        )
+
+    def _evolve(
+        self, material: AbstractMaterial, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]
+    ) -> Fractions:
+        """The fractions of all grains after a step of the material law."""
+        if self.grains is None:
+            return material.evolve(fractions, temperature, stress)
+        # One axis for grains, cells and wires, since the compiler makes a loop over each axis.
+        grains, shape = self.grains, fractions.detwinned.shape
+
+        def one(values: Float[Array, "..."]) -> Float[Array, " elements"]:
+            axes = (1,) * (len(shape) - values.ndim)
+            return jnp.broadcast_to(values.reshape(axes + values.shape), shape).ravel()
+
+        quantiles = one(jnp.asarray(grains.quantiles).reshape(-1, *(1,) * (len(shape) - 1)))
+        elements = [Fractions(*map(one, fractions)), *(tuple(map(one, pair)) for pair in (temperature, stress))]
+        evolved = jax.vmap(lambda quantile, *values: grains.material_of(material, quantile).evolve(*values))(
+            quantiles, *elements
+        )
+        return Fractions(*(part.reshape(shape) for part in evolved))
+
+    def _each_cell(self, hook: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a hook of an effect on heat or material, for which each cell is a wire."""
+        if self.cells is None:
+            return hook(*arguments)
+        axes = tuple(map(_cell_axes, arguments))
+        return jax.vmap(hook, in_axes=axes, axis_size=self.cells.simulated)(*arguments)
+
+    def _hook(self, effect: AbstractEffect, name: str) -> Callable[..., Any]:
+        """A hook of an effect: of one on heat or material for each cell, of all others for the whole wires."""
+        method = getattr(effect, name)
+        if self.cells is None or isinstance(effect, HeatEffect | MaterialEffect):
+            return functools.partial(self._each_cell, method)
+
+        def on_whole_wires(*arguments: Any) -> Any:
+            return method(*(self._whole_wires(a) if isinstance(a, WireState) else a for a in arguments))
+
+        return on_whole_wires
+
+    def _clamp_temperature(
+        self, memory: dict[str, Any], first: WireState, last: WireState, step: Float[Array, ""]
+    ) -> dict[str, Any]:
+        """The entry of the clamps in a state's memory after a step; none without cells."""
+        if self.cells is None:
+            return {}
+        ends = first.temperature[0], last.temperature[0]
+        ambient: Any = tuple(self.environment.ambient if at.ambient is None else at.ambient for at in (first, last))
+        parts = self.wire, self.heat, self.environment
+        return {CLAMP: self.cells.clamp_temperature(memory[CLAMP], ends, ambient, step, *parts)}
+
+
+def _cell_axes(argument: Any) -> Any:
+    """Axis of the cells in the leaves of an argument of a hook; ``None`` where there is none."""
+    if isinstance(argument, WireState):
+        return _CELL_AXES
+    if isinstance(argument, StageContext):
+        return None
+    return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, argument)
