@@ -1,389 +1,350 @@
-"""Fits of a soft arm's logs: a plant with all candidate effects, and a prior from data sheets."""
+"""Fits of a soft arm's logs together: wires that are alike, a prior from data sheets, and one compiled program."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from experiments.common.arm_effects import ARM_EFFECTS
-from experiments.common.arm_log import Log, reading_shift
-from experiments.common.effect_fit import predict, residual_of
+from experiments.common.arm_log import Log
+from experiments.common.arm_model import LEVER, RIG, Model, linearise, rms, split_log
+from experiments.common.base import say
+from experiments.common.effect_fit import predict
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import Module, field
 
 from smajax import parameters
 from smajax.files.rig_file import parse_rig
-from smajax.fitting import levenberg_marquardt as least_squares
-from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem, build_problem
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording
 
-LEVER = 0.003  # m of wire per rad of bend; nominal, since max_transformation_strain scales with it
-
-
-RIG = """
-schema = 1
-[rig]
-kind = "bias-spring"
-control = "duty"
-[drive]
-supply = "2.5 V"
-[material]
-martensite_start = "60 degC"
-martensite_finish = "-190 degC"
-austenite_start = "60 degC"
-austenite_finish = "100 degC"
-clausius_clapeyron_austenite = "7 MPa/K"
-clausius_clapeyron_martensite = "7 MPa/K"
-modulus_austenite = "40 GPa"
-modulus_martensite = "40 GPa"
-detwinning_start_stress = "0 MPa"
-detwinning_finish_stress = "100 MPa"
-max_transformation_strain = "1.5 %"
-[heat]
-h0 = "60 W/m^2/K"
-capacity = "3 MJ/m^3/K"
-[wire]
-diameter = "0.25 mm"
-length = "100 mm"
-[spring]
-preload = "5 N"
-stiffness = "6.7 N/mm"
-[environment]
-ambient = "22 degC"
-[initial]
-temperature = "22 degC"
-[fit]
-free = ["drive.supply", "heat.h0", "environment.ambient", "initial.temperature",
-        "material.austenite_shift", "material.austenite_finish",
-        "material.martensite_start", "material.detwinning_finish_stress", "material.max_transformation_strain",
-        "sensor.displacement_offset"]
-observe = ["temperature", "displacement"]
-noise = { temperature = "1 K", displacement = "0.015 mm" }
-starts = 1
-[fit.bounds]
-"drive.supply" = ["0.1 V", "10 V"]
-"heat.h0" = ["3 W/m^2/K", "400 W/m^2/K"]
-"environment.ambient" = ["15 degC", "30 degC"]
-"initial.temperature" = ["15 degC", "60 degC"]
-"material.austenite_shift" = ["-80 K", "100 K"]
-"material.austenite_finish" = ["62 degC", "200 degC"]
-"material.martensite_start" = ["0 degC", "150 degC"]
-"material.detwinning_finish_stress" = ["5 MPa", "400 MPa"]
-"material.max_transformation_strain" = ["0.5 %", "10 %"]
-"""
-
-SLOTS = 14  # most effects' parameters that a fit moves
-# Prior standard deviations about the rig's values (SI, K), from data sheets of such wires; drive and convection are
-# known to within a factor only.
-PRIOR_DEVIATION = {
-    "drive.supply": 0.5,
-    "heat.h0": 30.0,
-    "environment.ambient": 2.0,
-    "initial.temperature": 0.3,  # about the first reading of the log; the body and its thermocouple are at rest then
-    "material.austenite_shift": 10.0,
-    "material.austenite_finish": 15.0,
-    "material.martensite_start": 15.0,
-    "material.detwinning_finish_stress": 4e7,
-    "material.max_transformation_strain": 5e-3,
-    "sensor.displacement_offset": 1e-4,
-}
-STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
-SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value
-BASE_STARTS = 8  # with 3 the base fit may stay where the wire never transforms, so that any effect improves it
-DENSE_SECONDS = 40.0  # s after the first pulse in which all rows are kept
-TAIL_SECONDS = 1.1  # s between rows after that
-BLOCK_SECONDS = 2.0  # s; every third block is the selection part
-
-
-def split_log(log: Log) -> dict[str, Recording]:
-    """Split a log into recordings.
-
-    Each covers the whole log; its channels are NaN outside the rows of its role, and a temperature stands in a
-    separate row, at the time when it was taken. Before the scored part, the slow tail of a pulse is thinned.
-
-    Returns:
-        Recordings by role: ``train`` and ``select`` together make ``fitted``, ``held`` is scored; ``whole`` has all.
-    """
-    kept_rows = [0]
-    for k, now in enumerate(log.time):
-        dense = now < log.pulses[0] + DENSE_SECONDS or now >= log.scored
-        if k and (dense or (now - log.time[kept_rows[-1]] >= TAIL_SECONDS and np.isfinite(log.temperature[k]))):
-            kept_rows.append(k)
-    rows_of_readings = [k for k in kept_rows if np.isfinite(log.temperature[k])]
-    readings = log.time[rows_of_readings] + reading_shift(log)[rows_of_readings]
-    time, position = np.unique(np.concatenate([log.time[kept_rows], readings]), return_inverse=True)
-    temperature, bend = np.full((2, len(time)), np.nan)
-    temperature[position[len(kept_rows) :]] = log.temperature[rows_of_readings]
-    bend[position[: len(kept_rows)]] = log.bend[kept_rows]
-    channels = {"temperature": temperature, "displacement": np.radians(bend) * LEVER}
-    units = {"duty": "1", "temperature": "degC", "displacement": "mm"}
-    fitted = time < log.until
-    chosen = np.floor((time - log.pulses[0]) / BLOCK_SECONDS) % 3 == 2
-    rows = {"train": fitted & ~chosen, "select": fitted & chosen, "fitted": fitted, "held": time > log.scored}
-    rows["whole"] = np.full(len(time), True)
-    duty = {"duty": log.duty[np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, None)]}
-    return {
-        role: Recording.from_arrays(
-            log.name, time, duty | {c: np.where(own, v, np.nan) for c, v in channels.items()}, units
-        )
-        for role, own in rows.items()
-    }
-
-
-class Model(Module):
-    """A fit problem whose plant has all candidate effects, with a Gaussian prior.
-
-    Attributes:
-        problem: The fit problem.
-        fixed_values: Values of the effects' parameters that no slot moves, shape ``(n,)``.
-        slot_matrix: What one unit of a slot adds to each parameter, shape ``(n, SLOTS)``.
-        prior_mean: Mean of the prior of the vector and the slots.
-        prior_deviation: Its standard deviation; infinite where there is no prior.
-        names: Names of the effects' parameters.
-    """
-
-    problem: Problem
-    fixed_values: jax.Array
-    slot_matrix: jax.Array
-    prior_mean: jax.Array
-    prior_deviation: jax.Array
-    names: tuple[str, ...] = field(static=True)
-
-    @property
-    def size(self) -> int:
-        """Number of residuals."""
-        return self.problem.size + len(self.prior_mean)
-
-    def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Predict the channels, and the error code, as ``Problem.predict``."""
-        return self._at(vector).predict(vector[: len(self.problem.unknowns)])
-
-    def residual(self, vector: jax.Array) -> jax.Array:
-        """Return the residuals of the problem, followed by those of the prior over its standard deviation."""
-        measured = self._at(vector).residual(vector[: len(self.problem.unknowns)])
-        return jnp.concatenate([measured, (vector - self.prior_mean) / self.prior_deviation])
-
-    def _at(self, vector: jax.Array) -> Problem:
-        values = self.fixed_values + self.slot_matrix @ vector[len(self.problem.unknowns) :]
-        plant = parameters.replace(self.problem.plant, {n: values[i] for i, n in enumerate(self.names)})
-        return dataclasses.replace(self.problem, plant=plant)
+STEP = 2.0  # s; longest step of a simulation, in the tail of a pulse
+START_DEVIATION = 0.8  # standard deviation of drawn start points, in those of the prior
+HOP_DEVIATION = 0.3  # the same of points around the best fit
+FIRST_DAMPING, LAST_DAMPING = 1e-2, 1e6  # at which a fit begins, and at which it ends where no step gains
+RELATIVE_TOLERANCE = 1e-5  # of the cost, which a step has to gain
+FAILED = 1e3  # residual that stands for one that is not finite
 
 
 @dataclasses.dataclass(frozen=True)
-class LogFit:
-    """The fit of one log.
+class Prior:
+    """Gaussian prior of a parameter, in internal units.
 
     Attributes:
-        base: The rig's vector.
-        effects: The effects' parameters by name, in internal units.
-        cost: The cost at the end.
-        status: Why the solver stopped.
+        mean: Its mean.
+        deviation: Its standard deviation.
+        is_own: Whether each log has its own value. The values of other parameters scatter about one that the wires
+            share, by ``SPREAD`` of the standard deviation.
     """
 
-    base: np.ndarray
-    effects: Mapping[str, float]
+    mean: float
+    deviation: float
+    is_own: bool = False
+
+
+SPREAD = 0.2  # of the prior's standard deviation: the wires are of one make and in one arm
+# From data sheets of such wires; drive and convection are known to within a factor only. Temperatures in degC.
+PRIORS = {
+    "drive.supply": Prior(2.5, 0.5),
+    "heat.h0": Prior(60.0, 30.0),
+    "environment.ambient": Prior(22.0, 0.3, is_own=True),  # about the first reading; all is at rest then
+    "initial.temperature": Prior(22.0, 0.3, is_own=True),  # the same
+    "material.austenite_shift": Prior(0.0, 10.0),
+    "material.austenite_finish": Prior(100.0, 15.0),
+    "material.martensite_start": Prior(60.0, 15.0),
+    "material.detwinning_finish_stress": Prior(1e8, 4e7),
+    "material.max_transformation_strain": Prior(0.015, 0.005, is_own=True),  # with the lever of each wire
+    "sensor.displacement_offset": Prior(0.0, 1e-4, is_own=True),
+    "effects.grains.width": Prior(8.0, 6.0),
+    "effects.grains.latent_heat": Prior(1.2e8, 1.8e8),
+    "effects.grains.creep": Prior(0.003, 0.004),
+    "effects.grains.creep_time": Prior(10.0, 10.0),
+    "effects.coating.strength": Prior(2.0, 1.5),
+    "effects.coating.time_constant": Prior(4.0, 3.0),
+    "effects.body-heat.strength": Prior(0.3, 0.3),
+    "effects.body-heat.time_constant": Prior(100.0, 100.0),
+    "effects.thermocouple-contact.strength": Prior(1.5, 1.5, is_own=True),
+    "effects.thermocouple-contact.silicone_share": Prior(0.2, 0.3),
+    "effects.thermocouple-contact.silicone_time": Prior(4.0, 3.0),
+    "effects.rest-offset.strength": Prior(0.0, 1.5e-4, is_own=True),
+}
+CONSTANT = {"effects.grains.strength": 1.0}  # parameters that are not fitted where their effect is in the model
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmFit:
+    """A fit of all logs.
+
+    Attributes:
+        values: The parameters of each log, shape ``(logs, p)``, in internal units.
+        cost: Half the sum of squares at the end, prior included.
+        message: Why the solver stopped.
+    """
+
+    values: np.ndarray
     cost: float
-    status: least_squares.SolverStatus
+    message: str
 
 
-class LogFitter:
-    """Fits of all logs with one compiled program, in which every candidate has strength 0 until a slot moves it."""
+class ArmFitter:
+    """Fits of all logs together.
 
-    def __init__(self, logs: Sequence[Log], candidates: Sequence[str]):
+    Attributes:
+        names: Names of all parameters, those of the rig first.
+        parts: Recordings of each log by role.
+    """
+
+    def __init__(self, logs: Sequence[Log], effects: Sequence[str]):
         rig = parse_rig(RIG, "softlimb.toml")
-        capabilities = rig.plant.capabilities(tuple(rig.fit.observe))
-        known_effects = {**catalogue(), **ARM_EFFECTS}
-        self.kinds = {k: known_effects[k] for k in candidates if not known_effects[k].unavailable_reason(capabilities)}
-        plant = dataclasses.replace(rig.plant, effects=tuple(kind() for kind in self.kinds.values()))
-        self.plant, self.settings = plant, rig.fit
-        self.names = tuple(f"effects.{k}.{n}" for k, kind in self.kinds.items() for n in parameters.declarations(kind))
-        self.declared = {n: parameters.declaration(plant, n) for n in self.names}
-        self.nominal = np.array([float(parameters.get(plant, n)) for n in self.names])
+        kinds = {**catalogue(), **ARM_EFFECTS}
+        self.logs, self.effects = logs, tuple(effects)
+        self.plant = dataclasses.replace(rig.plant, effects=tuple(kinds[key]() for key in effects))
+        self.settings, self.noise = rig.fit, rig.fit.noise
+        own = tuple(f"effects.{key}.{n}" for key in effects for n in parameters.declarations(kinds[key]))
         self.parts = [split_log(log) for log in logs]
-        self.problems: list[dict[str, Problem]] = []
         first: Problem | None = None
+        self.models: list[dict[str, Model]] = []
         for recordings in self.parts:
-            built = {role: build_problem(plant, [r], rig.fit, step=2.0, multiple=128) for role, r in recordings.items()}
+            built = {role: self._build(recording) for role, recording in recordings.items()}
             first = first or built["train"]
-            self.problems.append({role: dataclasses.replace(first, data=p.data) for role, p in built.items()})
+            problems = {role: dataclasses.replace(first, data=p.data) for role, p in built.items()}
+            self.models.append({role: Model(problem, own) for role, problem in problems.items()})
         assert first is not None
-        self.first, self.noise = first, rig.fit.noise
-        self.prior_means = [self._prior_mean(log) for log in logs]
+        self.names = tuple(u.name for u in first.unknowns) + own
+        declared = [parameters.declaration(self.plant, n) for n in own]
+        self.units = [u.unit for u in first.unknowns] + [d.unit for d in declared]
+        limits = [(u.lower, u.upper) for u in first.unknowns] + [(d.lower, d.upper) for d in declared]
+        self.limits = np.array(limits).T
 
-    def _prior_mean(self, log: Log) -> np.ndarray:
-        """Mean of the prior of the rig's vector: the rig's values, and the first reading as initial temperature."""
-        mean = np.array(self.first.nominal)
-        i = [unknown.name for unknown in self.first.unknowns].index("initial.temperature")
-        mean[i] = log.start_temperature / self.first.unknowns[i].scale
-        return mean
+    def _build(self, recording: Recording) -> Problem:
+        return build_problem(self.plant, [recording], self.settings, step=STEP, multiple=128)
 
-    def scale(self, name: str) -> float:
-        """Return the unit of a slot that moves a parameter: its typical strength, or the size of its nominal value."""
-        key = name.split(".")[1]
-        return (
-            self.kinds[key].typical if name.endswith(".strength") else abs(float(self.nominal[self.names.index(name)]))
-        )
-
-    def model(self, log: int, role: str, effects: Mapping[str, float]) -> tuple[Model, np.ndarray]:
-        """Build the model in which the slots move the parameters of some effects.
-
-        Args:
-            log: Index of the log.
-            role: Role of the recording, a key of ``split_log``.
-            effects: Values of the effects' parameters, by name.
-
-        Returns:
-            The model, and the values of the slots, shape ``(SLOTS,)``.
-        """
-        fixed_values = self.nominal.copy()
-        slot_matrix = np.zeros((len(self.names), SLOTS))
-        slots = np.zeros(SLOTS)
-        prior_mean = np.zeros(SLOTS)
-        prior_deviation = np.full(SLOTS, np.inf)
-        for j, (name, value) in enumerate(effects.items()):
-            i = self.names.index(name)
-            strength = name.endswith(".strength")
-            fixed_values[i] = 0.0
-            slot_matrix[i, j] = self.scale(name)
-            slots[j] = value / self.scale(name)
-            prior_mean[j], prior_deviation[j] = (
-                (0.0, STRENGTH_DEVIATION) if strength else (self.nominal[i] / self.scale(name), SHAPE_DEVIATION)
-            )
-        prior_mean = np.append(self.prior_means[log], prior_mean)
-        prior_deviation = np.append([PRIOR_DEVIATION[u.name] / u.scale for u in self.first.unknowns], prior_deviation)
-        return Model(
-            self.problems[log][role],
-            *map(jnp.asarray, (fixed_values, slot_matrix, prior_mean, prior_deviation)),
-            self.names,
-        ), slots
-
-    def fit(self, log: int, role: str, effects: Mapping[str, float], base: np.ndarray, steps: int) -> LogFit:
-        """Fit a part of one log from a start point.
+    def fit(
+        self,
+        role: str,
+        without: Collection[str] = (),
+        starts: int = 1,
+        hops: int = 0,
+        steps: int = 80,
+        before: ArmFit | None = None,
+    ) -> list[ArmFit]:
+        """Fit a part of all logs from several points, and again from points around the best one.
 
         Args:
-            log: Index of the log.
-            role: Role of the recording.
-            effects: Start values of the effects' parameters, by name.
-            base: Start values of the rig's vector.
-            steps: Largest number of solver steps.
-        """
-        model, slots = self.model(log, role, effects)
-        lower, upper = self.first.bounds
-        slot_bounds = np.zeros((2, SLOTS))
-        for j, name in enumerate(effects):
-            slot_bounds[:, j] = (
-                self.declared[name].lower / self.scale(name),
-                self.declared[name].upper / self.scale(name),
-            )
-        start = np.concatenate([base, slots])[None]
-        lower = np.concatenate([lower, slot_bounds[0]])
-        upper = np.concatenate([upper, slot_bounds[1]])
-        search = MultiStartSolver(residual_of, model, start, lower, upper, size=model.size, rtol=1e-5)
-        result = search.advance(steps).result()
-        point = result.points[0]
-        values = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}
-        return LogFit(point[: len(base)], values, float(result.costs[0]), result.statuses[0])
-
-    def fit_all(self, role: str, before: Sequence[LogFit], added: Mapping[str, float], steps: int) -> list[LogFit]:
-        """Fit a part of all logs, each from its earlier fit.
-
-        Args:
-            role: Role of the recordings.
-            before: The earlier fits, one a log.
-            added: Start values of further effects' parameters.
-            steps: Largest number of solver steps.
-        """
-        with ThreadPoolExecutor(2) as pool:
-            return list(
-                pool.map(
-                    lambda i: self.fit(i, role, {**before[i].effects, **added}, before[i].base, steps),
-                    range(len(before)),
-                )
-            )
-
-    def fit_from_draws(
-        self, log: int, role: str, effects: Mapping[str, float], times: int, steps: int, seed: int = 0
-    ) -> list[LogFit]:
-        """Fit one log from the rig's values and from points drawn over the search box.
-
-        Args:
-            log: Index of the log.
-            role: Role of the recording.
-            effects: Start values of the effects' parameters.
-            times: Number of start points, the rig's values included.
-            steps: Largest number of solver steps.
-            seed: Seed of the draws.
+            role: Role of the recordings, a key of ``split_log``.
+            without: Keys of effects that are left out.
+            starts: Number of start points: the mean of the prior, and draws from it.
+            hops: Number of restarts from points drawn around the best fit so far.
+            steps: Largest number of solver steps of each.
+            before: A fit at which the only start point lies instead.
 
         Returns:
             The fits, the best first.
         """
-        lower, upper = self.first.search_bounds()
-        points = np.random.default_rng(seed).uniform(lower, upper, (times - 1, len(lower)))
-        with ThreadPoolExecutor(2) as pool:
-            fits = list(pool.map(lambda p: self.fit(log, role, effects, p, steps), [self.first.nominal, *points]))
-        return sorted(fits, key=lambda f: f.cost if np.isfinite(f.cost) else np.inf)
+        joint, random = JointProblem(self, role, without), np.random.default_rng(1)
+        points = [joint.point(before.values)] if before is not None else joint.draw_starts(starts)
+        fits = [joint.solve(point, steps) for point in points]
+        best = min(fits, key=lambda f: f.cost)
+        say(f"{role}: cost {best.cost:.1f} is the lowest of {len(fits)}")
+        for _ in range(hops):
+            point = joint.point(best.values) + HOP_DEVIATION * random.standard_normal(joint.size)
+            fits.append(joint.solve(point, steps))
+            best = min(best, fits[-1], key=lambda f: f.cost)
+        if hops:
+            say(f"{role}: cost {best.cost:.1f} is the lowest of {len(fits)}")
+        return sorted(fits, key=lambda f: f.cost)
 
-    def residuals(self, log: int, role: str, fitted: LogFit) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, log: int, role: str, fitted: ArmFit) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus modelled temperature (K) and bend (deg) of a part, NaN where nothing was measured.
 
         Args:
             log: Index of the log.
             role: Role of the recording.
-            fitted: The fit of the log.
+            fitted: The fit.
         """
-        model, slots = self.model(log, role, fitted.effects)
-        predicted, _ = predict(model, jnp.asarray(np.concatenate([fitted.base, slots])))
-        data, count = self.problems[log][role].data, len(self.parts[log][role])
-        residual = np.where(np.asarray(data.weight[0]) > 0, np.asarray(data.measured[0] - predicted[0]), np.nan)[
-            :, :count
-        ]
+        model = self.models[log][role]
+        predicted, _ = predict(model, jnp.asarray(fitted.values[log]))
+        data, count = model.problem.data, len(self.parts[log][role])
+        difference = np.asarray(data.measured[0] - predicted[0])
+        residual = np.where(np.asarray(data.weight[0]) > 0, difference, np.nan)[:, :count]
         return residual[0], np.degrees(residual[1] / LEVER)
 
-    def predict(self, log: int, fitted: LogFit, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    def predict(self, log: int, fitted: ArmFit, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Predict the temperature (degC) and the displacement (m) of a wire at the rows of another recording.
 
         The wire starts at the recording's first temperature, and the arm at its rest.
 
         Args:
-            log: Index of the log to which the wire was fitted.
-            fitted: The fit of the log.
+            log: Index of the log of the wire.
+            fitted: The fit.
             recording: Duty, temperature and displacement; only the duty and the first temperature are used.
         """
-        effects = {
-            n: 0.0 if n in ("effects.initial-offset.strength", "effects.initial-set.strength") else v
-            for n, v in fitted.effects.items()
-        }
-        model, slots = self.model(log, "fitted", effects)
-        problem = build_problem(self.plant, [recording], self.settings, step=2.0, multiple=128)
-        base = np.array(fitted.base)
-        names, scales = zip(*((unknown.name, unknown.scale) for unknown in self.first.unknowns), strict=True)
-        start, ambient = names.index("initial.temperature"), names.index("environment.ambient")
-        base[start] = recording.channels["temperature"][0] / scales[start]
+        values = dict(zip(self.names, fitted.values[log], strict=True))
+        start = recording.channels["temperature"][0]
+        values |= {"initial.temperature": start}
+        if "effects.rest-offset.strength" in values:
+            values["effects.rest-offset.strength"] = 0.0
         if not np.any(recording.channels["duty"]):  # the fitted ambient is that after a pulse, which warms the body
-            base[ambient] = min(base[ambient], base[start] * scales[start] / scales[ambient])
-        model = dataclasses.replace(model, problem=problem)
-        predicted, _ = predict(model, jnp.asarray(np.concatenate([base, slots])))
+            values["environment.ambient"] = min(values["environment.ambient"], start)
+        model = dataclasses.replace(
+            self.models[log]["fitted"],
+            problem=dataclasses.replace(self.models[log]["fitted"].problem, data=self._build(recording).data),
+        )
+        predicted, _ = predict(model, jnp.asarray([values[n] for n in self.names]))
         temperature, displacement = np.asarray(predicted[0])[:, : len(recording)]
         return temperature, displacement
 
-    def score(self, role: str, fits: Sequence[LogFit]) -> float:
+    def score(self, role: str, fitted: ArmFit) -> float:
         """Return the RMS of a part's residuals over their noise, pooled over logs and channels."""
         noise = self.noise["temperature"], float(np.degrees(self.noise["displacement"] / LEVER))
-        residuals = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        residuals = [self.residuals(i, role, fitted) for i in range(len(self.logs))]
         return rms([r[c] / noise[c] for r in residuals for c in (0, 1)])
 
-    def errors(self, role: str, fits: Sequence[LogFit]) -> tuple[float, float]:
+    def errors(self, role: str, fitted: ArmFit) -> tuple[float, float]:
         """Return the pooled RMSE of a part in K and deg."""
-        residuals = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        residuals = [self.residuals(i, role, fitted) for i in range(len(self.logs))]
         return rms([r[0] for r in residuals]), rms([r[1] for r in residuals])
 
 
-def rms(series: Sequence[np.ndarray]) -> float:
-    """Return the root mean square over all samples that are not NaN."""
-    return float(np.sqrt(np.nanmean(np.concatenate(series) ** 2)))
+class JointProblem:
+    """The joint fit of all logs as a least-squares problem in units of the prior's standard deviations.
+
+    The vector has the shared parameters first, and then log by log its own parameters and the deviations of its wire
+    from the shared ones.
+
+    Attributes:
+        fitter: The fits.
+        role: Role of the recordings.
+        shared: Indices of the shared parameters.
+        own: Indices of the parameters of each log.
+    """
+
+    def __init__(self, fitter: ArmFitter, role: str, without: Collection[str]):
+        self.fitter, self.role = fitter, role
+        left_out = [name.startswith("effects.") and name.split(".")[1] in without for name in fitter.names]
+        priors = [None if out else PRIORS.get(n) for n, out in zip(fitter.names, left_out, strict=True)]
+        self.shared = np.array([i for i, p in enumerate(priors) if p is not None and not p.is_own])
+        self.own = np.array([i for i, p in enumerate(priors) if p is not None and p.is_own])
+        self.deviation = np.array([p.deviation if p else 1.0 for p in priors])
+        constant = {n: 0.0 if out else CONSTANT.get(n, 0.0) for n, out in zip(fitter.names, left_out, strict=True)}
+        middle = [PRIORS[n].mean if n in PRIORS and not n.endswith(".strength") else constant[n] for n in fitter.names]
+        middle = [p.mean if p else m for p, m in zip(priors, middle, strict=True)]
+        self.mean = np.tile(middle, (len(fitter.logs), 1))
+        for name in ("initial.temperature", "environment.ambient"):
+            self.mean[:, fitter.names.index(name)] = [log.start_temperature for log in fitter.logs]
+        self.weighted = [
+            np.flatnonzero(np.asarray(models[role].problem.data.weight).ravel() > 0) for models in fitter.models
+        ]
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        return len(self.shared) + len(self.fitter.logs) * (len(self.own) + len(self.shared))
+
+    def _slices(self, log: int) -> tuple[slice, slice, slice]:
+        """Places of the shared parameters, those of a log and its deviations in the vector."""
+        shared, own = len(self.shared), len(self.own)
+        begin = shared + log * (own + shared)
+        return slice(0, shared), slice(begin, begin + own), slice(begin + own, begin + own + shared)
+
+    def values(self, point: np.ndarray) -> np.ndarray:
+        """Return the parameters of each log at a point, within their bounds, shape ``(logs, p)``."""
+        values = self.mean.copy()
+        for log in range(len(values)):
+            common, own, deviation = self._slices(log)
+            values[log, self.shared] += self.deviation[self.shared] * (point[common] + SPREAD * point[deviation])
+            values[log, self.own] += self.deviation[self.own] * point[own]
+        return np.clip(values, *self.fitter.limits)
+
+    def point(self, values: np.ndarray) -> np.ndarray:
+        """Return the point of given parameters of each log, with the means over the logs as shared ones.
+
+        Args:
+            values: The parameters, shape ``(logs, p)``.
+        """
+        point = np.zeros(self.size)
+        distance = (values - self.mean) / self.deviation
+        middle = np.mean(distance[:, self.shared], axis=0)
+        for log in range(len(values)):
+            common, own, deviation = self._slices(log)
+            point[common], point[own] = middle, distance[log, self.own]
+            point[deviation] = (distance[log, self.shared] - middle) / SPREAD
+        return point
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of the vector."""
+        bounds = np.array([np.full(self.size, -np.inf), np.full(self.size, np.inf)])
+        for log in range(len(self.mean)):
+            common, own, _ = self._slices(log)
+            for place, index in ((common, self.shared), (own, self.own)):
+                bounds[:, place] = (self.fitter.limits[:, index] - self.mean[log, index]) / self.deviation[index]
+        return bounds[0], bounds[1]
+
+    def draw_starts(self, count: int, seed: int = 0) -> list[np.ndarray]:
+        """Return start points: the mean of the prior and draws, with the first bend as offset from rest."""
+        random = np.random.default_rng(seed)
+        points = [START_DEVIATION * (k > 0) * random.standard_normal(self.size) for k in range(count)]
+        names = [self.fitter.names[i] for i in self.own]
+        for point in points:
+            for log, data in enumerate(self.fitter.logs):
+                _, own, deviation = self._slices(log)
+                point[own], point[deviation] = 0.0, 0.0
+                if "effects.rest-offset.strength" in names:
+                    first = float(data.bend[np.isfinite(data.bend)][1])  # the first one is filtered by the tracker
+                    offset = np.radians(first) * LEVER / PRIORS["effects.rest-offset.strength"].deviation
+                    point[own.start + names.index("effects.rest-offset.strength")] = offset
+        return points
+
+    def _linearise(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals and their Jacobian, those of the prior last."""
+        values = self.values(point)
+        with ThreadPoolExecutor(2) as pool:
+            models = [models[self.role] for models in self.fitter.models]
+            parts = list(pool.map(lambda log: linearise(models[log], jnp.asarray(values[log])), range(len(models))))
+        residuals, jacobians = [], []
+        for log, (residual, jacobian) in enumerate(parts):
+            rows = self.weighted[log]
+            residual = np.nan_to_num(np.asarray(residual)[rows], nan=FAILED, posinf=FAILED, neginf=-FAILED)
+            jacobian = np.nan_to_num(np.asarray(jacobian)[rows]) * self.deviation
+            common, own, deviation = self._slices(log)
+            columns = np.zeros((len(rows), self.size))
+            columns[:, common] = jacobian[:, self.shared]
+            columns[:, deviation] = SPREAD * jacobian[:, self.shared]
+            columns[:, own] = jacobian[:, self.own]
+            residuals.append(residual)
+            jacobians.append(columns)
+        return np.concatenate([*residuals, point]), np.concatenate([*jacobians, np.eye(self.size)])
+
+    def solve(self, point: np.ndarray, steps: int) -> ArmFit:
+        """Fit from a start point, by Levenberg and Marquardt's method; steps end at the bounds.
+
+        It ends after three steps in a row that gain little: one such step may only be one that a corner of the model
+        has cut short.
+
+        Args:
+            point: The start point.
+            steps: Largest number of evaluations.
+        """
+        lower, upper = self.bounds()
+        point = np.clip(point, lower, upper)
+        residual, jacobian = self._linearise(point)
+        cost, damping, small_steps = 0.5 * float(residual @ residual), FIRST_DAMPING, 0
+        for _ in range(steps):
+            gradient, curvature = jacobian.T @ residual, jacobian.T @ jacobian
+            free = ~((point <= lower) & (gradient > 0) | (point >= upper) & (gradient < 0))
+            damped = curvature + damping * np.diag(np.diag(curvature))
+            step = np.zeros(len(point))
+            step[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
+            trial = np.clip(point + step, lower, upper)
+            trial_residual, trial_jacobian = self._linearise(trial)
+            gain = cost - 0.5 * float(trial_residual @ trial_residual)
+            small_steps = small_steps + 1 if gain < RELATIVE_TOLERANCE * cost else 0
+            if gain > 0:
+                point, residual, jacobian, cost = trial, trial_residual, trial_jacobian, cost - gain
+            damping = damping / 4 if gain > 0 else damping * 3
+            if damping > LAST_DAMPING or (small_steps >= 3 and gain > 0):
+                return ArmFit(self.values(point), cost, "the cost falls by less than its tolerance")
+        return ArmFit(self.values(point), cost, "the steps are used up")

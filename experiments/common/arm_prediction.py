@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.common.arm_fit import LEVER, LogFit, LogFitter
+from experiments.common.arm_fit import ArmFit, ArmFitter
 from experiments.common.arm_log import Log, chord, read_table
+from experiments.common.arm_model import LEVER
 from experiments.common.base import Row, refuse
 
 import numpy as np
@@ -70,60 +71,114 @@ def chord_gain(table: dict[str, np.ndarray], log: Log, tags: tuple[int, int]) ->
     return float(np.polyfit(log.bend[rows], angle[rows], 1)[0])
 
 
-def error_row(what: str, measured: np.ndarray, predicted: np.ndarray, unit: str) -> Row:
-    """Compare a prediction with the mean of the log and with its first row.
+def error_row(what: str, pairs: Sequence[tuple[np.ndarray, np.ndarray]], unit: str) -> Row:
+    """Compare predictions with the mean of each series and with its first row.
 
     Args:
         what: Name of the row.
-        measured: Measured series, NaN where nothing was measured.
-        predicted: Its prediction.
-        unit: Unit of both.
+        pairs: Measured series, NaN where nothing was measured, each with its prediction.
+        unit: Unit of all.
     """
-    rows = np.flatnonzero(np.isfinite(measured))
-    series = measured[rows]
-    errors = {
-        "rmse": series - predicted[rows],
-        "rmse_of_the_mean": series - np.mean(series),
-        "rmse_of_the_first_row": series - series[0],
-    }
-    numbers = {name: float(np.sqrt(np.mean(residual**2))) for name, residual in errors.items()}
+    residuals: dict[str, list[np.ndarray]] = {"rmse": [], "rmse_of_the_mean": [], "rmse_of_the_first_row": []}
+    for measured, predicted in pairs:
+        rows = np.flatnonzero(np.isfinite(measured))
+        series = measured[rows]
+        residuals["rmse"].append(series - predicted[rows])
+        residuals["rmse_of_the_mean"].append(series - np.mean(series))
+        residuals["rmse_of_the_first_row"].append(series - series[0])
+    numbers = {name: float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for name, r in residuals.items()}
     model, mean, first = numbers.values()
-    text = f"{model:.2f} {unit}; the mean of the log {mean:.2f}, its first row {first:.2f}, in {len(rows)} rows"
+    count = sum(len(r) for r in residuals["rmse"])
+    text = f"{model:.2f} {unit}; the mean of the log {mean:.2f}, its first row {first:.2f}, in {count} rows"
     return Row(what, "below both", text, model < min(mean, first), numbers)
 
 
-def predict_course(fitter: LogFitter, logs: Sequence[Log], fits: Sequence[LogFit], course: Course) -> list[Row]:
-    """Predict the thermocouples and the bends of a course from the fits of the single wires.
+def rest_shift(fitter: ArmFitter, logs: Sequence[Log], fit: ArmFit, log: int, course: Course) -> float:
+    """Return how far the rest of the arm moves as a wire is first driven in a course, m at the wire.
 
-    Each wire starts at its thermocouple's first reading, which for an idle wire is also its forecast as far as the
-    wire is at ambient temperature; heat of the other wires is left out. The bend is the sum of what each wire alone
-    turns each chord by since the tags were first seen. No offset from rest at the first row is assumed.
+    An arm rests nearer to the wire of a limb that was driven last, and a wire that the other one has stretched recovers
+    that as it shortens. The size is the offset with which a log began whose wire was stretched, of this wire or the
+    other one; it is 0 if the other one was not driven before.
 
     Args:
         fitter: The fits of the logs.
         logs: One log for each wire.
-        fits: Their fits.
+        fit: Their fit.
+        log: Index of the wire.
         course: The log that is predicted.
     """
-    predictions = [
-        fitter.predict(i, fit, course.recording(log)) for i, (log, fit) in enumerate(zip(logs, fits, strict=True))
-    ]
-    rows = []
+    offsets = -fit.values[:, fitter.names.index("effects.rest-offset.strength")]
+    limb = [other.duty_name.rsplit("_", 1)[0] for other in logs]
+    onsets = [np.flatnonzero(course.duty(other) > 0) for other in logs]
+    if not len(onsets[log]):
+        return 0.0
+    pairs = [i for i in range(len(logs)) if i != log and limb[i] == limb[log]]
+    stretched = any(len(onsets[i]) and onsets[i][0] < onsets[log][0] for i in pairs)
+    return max(0.0, *(float(offsets[i]) for i in (log, *pairs))) if stretched else 0.0
+
+
+def bend_pair(
+    fitter: ArmFitter,
+    logs: Sequence[Log],
+    fit: ArmFit,
+    course: Course,
+    tags: tuple[int, int],
+    displacements: Sequence[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return a measured chord and its prediction in deg; ``None`` if its tags are never seen.
+
+    Args:
+        fitter: The fits of the logs.
+        logs: One log for each wire.
+        fit: Their fit.
+        course: The log that is predicted.
+        tags: Tags between which the chord runs.
+        displacements: Displacement of each wire, m.
+    """
+    measured = course.bend(tags)
+    if measured is None:
+        return None
+    first = np.flatnonzero(np.isfinite(measured))[0]
+    predicted = np.zeros(len(course.time))
+    for i, (log, displacement) in enumerate(zip(logs, displacements, strict=True)):
+        way = np.maximum.accumulate(displacement - displacement[0])
+        shift = rest_shift(fitter, logs, fit, i, course) * way / max(float(way[-1]), 1e-9)
+        turn = displacement + shift
+        gain = chord_gain(read_table(log.path)[0], log, tags)
+        predicted += gain * np.degrees((turn - turn[first]) / LEVER)
+    return measured, predicted
+
+
+def predict_course(fitter: ArmFitter, logs: Sequence[Log], fit: ArmFit, course: Course) -> list[Row]:
+    """Predict the thermocouples and the bends of a course from the fit of the single wires.
+
+    Each wire starts at its thermocouple's first reading, which for an idle wire is also its forecast as far as the
+    wire is at ambient temperature; heat of the other wires is left out. The bend is the sum of what each wire alone
+    turns each chord by since the tags were first seen. No offset from rest at the first row is assumed; a wire that is
+    driven after the other one of its limb moves the rest (``rest_shift``).
+
+    Args:
+        fitter: The fits of the logs.
+        logs: One log for each wire.
+        fit: Their fit.
+        course: The log that is predicted.
+    """
+    predictions = [fitter.predict(i, fit, course.recording(log)) for i, log in enumerate(logs)]
+    rows, pairs = [], []
     for log, (temperature, _) in zip(logs, predictions, strict=True):
         measured = np.where(course.refreshed, course.table[log.thermocouple], np.nan)
         on = float(np.sum(np.diff(course.time) * course.duty(log)[:-1]))
         what = f"{log.thermocouple}, {log.duty_name} driven for {on:.2f} s of full duty"
-        rows.append(error_row(what, measured, temperature, "K"))
-    tables = [read_table(log.path)[0] for log in logs]
+        pairs.append((measured, temperature))
+        rows.append(error_row(what, pairs[-1:], "K"))
+    rows.append(error_row("all thermocouples", pairs, "K"))
+    bends = []
     for tags in sorted({log.tags for log in logs}):
-        measured = course.bend(tags)
-        if measured is None:
-            rows.append(Row(f"bend, tags {tags[0]} to {tags[1]}", "-", "these tags are never seen in this log", None))
+        pair = bend_pair(fitter, logs, fit, course, tags, [d for _, d in predictions])
+        what = f"bend, tags {tags[0]} to {tags[1]}"
+        if pair is None:
+            rows.append(Row(what, "-", "these tags are never seen in this log", None))
             continue
-        first = np.flatnonzero(np.isfinite(measured))[0]
-        predicted = np.zeros(len(course.time))
-        for log, table, (_, displacement) in zip(logs, tables, predictions, strict=True):
-            turn = np.degrees((displacement - displacement[first]) / LEVER)
-            predicted += chord_gain(table, log, tags) * turn
-        rows.append(error_row(f"bend, tags {tags[0]} to {tags[1]}", measured, predicted, "deg"))
-    return rows
+        bends.append(pair)
+        rows.append(error_row(what, [pair], "deg"))
+    return [*rows, error_row("all bends", bends, "deg")] if bends else rows

@@ -16,9 +16,12 @@ from experiments.fitting import interval_coverage
 import numpy as np
 import pytest
 
+import smajax as sma
+from smajax.files.rig_file import parse_rig
 from smajax.fitting.result import Estimate
 from smajax.plant.effects import catalogue
 from smajax.plant.effects.class_check import effect_problems
+from smajax.recordings.recording import Recording
 from tests.conftest import ROOT
 
 EXPERIMENTS = ROOT / "experiments"
@@ -213,15 +216,15 @@ def test_a_log_without_pulses_or_tags_is_refused(tmp_path, run):
 
 def test_the_moving_parts_of_a_log_are_detected(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
-    from experiments.common import arm_fit
     from experiments.common import arm_log as arm_logs
+    from experiments.common import arm_model
 
     log = arm_logs.read_logs(arm_log(tmp_path))[0]
     assert log.columns == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
     np.testing.assert_allclose(log.pulses, [1.0, 91.0])
     assert (log.until, log.scored) == (80.0, 85.0)
     assert np.nanmax(log.bend) > 5.0
-    parts = arm_fit.split_log(log)
+    parts = arm_model.split_log(log)
     train, select = (np.isfinite(parts[role].channels["displacement"]) for role in ("train", "select"))
     assert not np.any(train & select)
     np.testing.assert_array_equal(train | select, np.isfinite(parts["fitted"].channels["displacement"]))
@@ -277,7 +280,7 @@ def test_a_prediction_is_compared_with_naive_forecasts(monkeypatch):
     from experiments.common import arm_prediction
 
     measured = np.array([1.0, np.nan, 3.0, 5.0])
-    row = arm_prediction.error_row("a channel", measured, np.array([1.0, 0.0, 3.0, 4.0]), "K")
+    row = arm_prediction.error_row("a channel", [(measured, np.array([1.0, 0.0, 3.0, 4.0]))], "K")
     assert row.met and row.numbers["rmse"] == pytest.approx(np.sqrt(1 / 3))
     assert row.numbers["rmse_of_the_mean"] == pytest.approx(np.sqrt(8 / 3))
     assert row.numbers["rmse_of_the_first_row"] == pytest.approx(np.sqrt(20 / 3))
@@ -285,15 +288,68 @@ def test_a_prediction_is_compared_with_naive_forecasts(monkeypatch):
 
 def test_effects_of_the_arm_are_absent_without_strength(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
-    from experiments.common.arm_effects import ARM_EFFECTS, InitialOffset
+    from experiments.common.arm_effects import ARM_EFFECTS, Grains, RestOffset, ThermocoupleContact
 
     for key, kind in ARM_EFFECTS.items():
-        assert not effect_problems(key, kind, catalogue())
+        assert kind is Grains or not effect_problems(key, kind, catalogue())
         assert float(kind().strength) == 0.0
-    motion, time = np.array([0.0, 4e-4, 0.0]), np.arange(3.0)
-    assert not np.any(InitialOffset().displacement(motion, {}, time))
-    effect = InitialOffset(strength=1e-4, stroke=4e-4)
-    np.testing.assert_allclose(effect.displacement(motion, {}, time), 1e-4 * np.exp([0.0, -1.0, -2.0]))
+    motion, time = np.array([0.0, 1e-4, 4e-4, 0.0]), np.arange(4.0)
+    assert not np.any(RestOffset().displacement(motion, {}, time))
+    slack, stretched = (RestOffset(strength=s).displacement(motion, {}, time) for s in (2e-4, -2e-4))
+    np.testing.assert_allclose(slack, [2e-4, 1e-4, 0.0, 0.0])
+    np.testing.assert_allclose(stretched, [-2e-4, -1.5e-4, 0.0, 0.0])
+    series = np.array([20.0, 60.0, 40.0, 30.0])
+    np.testing.assert_allclose(ThermocoupleContact().reading(series, {}, time), 0.0, atol=1e-9)
+
+
+def test_grains_set_their_latent_heat_free_and_creep(monkeypatch):
+    """A wire of grains is simulated through a pulse: heat of the transformation delays it, and creep ends after it."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common.arm_effects import Grains
+    from experiments.common.arm_model import RIG
+
+    plant = parse_rig(RIG, "softlimb.toml").plant
+    time = np.arange(0.0, 60.0, 0.1)
+    zero = np.zeros(len(time))
+    channels = {"duty": np.where(time < 6.0, 0.3, 0.0), "temperature": zero, "displacement": zero}
+    recording = Recording.from_arrays(
+        "pulse", time, channels, {"duty": "1", "temperature": "degC", "displacement": "m"}
+    )
+
+    def response(**values: float) -> dict[str, np.ndarray]:
+        wire = dataclasses.replace(plant, effects=(Grains(width=1.0, **values),))
+        result = sma.simulate(wire, sma.discretise(wire, recording))
+        return {name: np.asarray(result.channels[name]) for name in ("temperature", "displacement")}
+
+    law = response(strength=0.0)
+    cold = response(strength=1.0, latent_heat=0.0, creep=0.0)
+    warm = response(strength=1.0, latent_heat=1e8, creep=0.0)
+    np.testing.assert_allclose(cold["temperature"], law["temperature"], atol=0.01)  # up to errors of the steps
+    assert np.max(np.abs(cold["displacement"] - law["displacement"])) < 0.1 * np.max(law["displacement"])
+    capacity = 3e6
+    rising = np.argmax(cold["displacement"] > 0.9 * np.max(cold["displacement"]))
+    delay = cold["temperature"][rising] - warm["temperature"][rising]
+    assert 0.5 * 1e8 / capacity < delay < 1e8 / capacity
+    crept = response(strength=1.0, latent_heat=0.0, creep=0.002, creep_time=2.0)
+    change = crept["displacement"] - cold["displacement"]
+    assert np.max(np.abs(change[time < 10.0])) > 1e-5 and abs(change[-1]) < 1e-6
+
+
+def test_a_point_of_the_joint_fit_has_the_parameters_of_all_logs(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_fit
+    from experiments.common import arm_log as arm_logs
+
+    logs = arm_logs.read_logs(arm_log(tmp_path)) * 2
+    fitter = arm_fit.ArmFitter(logs, ("coating", "rest-offset"))
+    joint = arm_fit.JointProblem(fitter, "fitted", ())
+    point = 0.1 * np.random.default_rng(0).standard_normal(joint.size)
+    values = joint.values(point)
+    np.testing.assert_allclose(joint.values(joint.point(values)), values, rtol=1e-12)
+    spread = (values[0] - values[1])[joint.shared] / joint.deviation[joint.shared]
+    assert np.max(np.abs(spread)) < 0.2  # the wires are alike
+    without = arm_fit.JointProblem(fitter, "fitted", ("coating",))
+    assert without.values(np.zeros(without.size))[0][fitter.names.index("effects.coating.strength")] == 0.0
 
 
 def test_a_measured_log_of_another_course_is_predicted_quickly(shared, tmp_path):
@@ -315,7 +371,8 @@ def test_a_measured_log_of_another_course_is_predicted_quickly(shared, tmp_path)
     rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
     driven = next(row for what, row in rows.items() if what.startswith("MCPtemp_3, pwm_duty_limb1_rev driven for 1.7"))
     assert driven["met"] and rows["bend, tags 105 to 109"]["met"]
-    assert len(rows) == 6
+    assert rows["all bends"]["met"] and "all thermocouples" in rows
+    assert len(rows) == 8
 
 
 @pytest.mark.parametrize(("count", "least", "largest"), [(200, 0.91, 0.98), (40, 0.85, 1.0)])
