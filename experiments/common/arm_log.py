@@ -214,7 +214,7 @@ def reading_shift(log: Log) -> np.ndarray:
 
 
 def describe_pulses(log: Log) -> str:
-    """Return in words at which values the first two pulses begin and which maxima they reach."""
+    """Return in words at which values the first two pulses begin, which maxima they reach, and how long they last."""
     texts = []
     for start in log.pulses[:2]:
         for series, unit in ((log.temperature, "degC"), (log.bend, "deg")):
@@ -222,4 +222,6 @@ def describe_pulses(log: Log) -> str:
             before = series[measured & (log.time >= start - REST) & (log.time <= start)]
             pulse = series[measured & (log.time > start)]
             texts.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
-    return "{}, {}; then {}, {}".format(*texts)
+        pulse = (log.time[:-1] >= start) & (log.time[:-1] < start + REST)
+        texts.append(f"{np.sum(np.diff(log.time)[pulse] * log.duty[:-1][pulse]):.3f} s of full duty")
+    return "{}, {}, {}; then {}, {}, {}".format(*texts)
