@@ -101,8 +101,24 @@ class Grains(HeatEffect, MaterialEffect):
         return self.strength * (gradual - material.transformation_strain(state.fractions) + creep)
 
 
+class HeatSoak(ThermalNode):
+    """Body around the wire that warms slowly, and at the first row is as warm as the wire."""
+
+    strength: jax.Array = parameter("1", "conduction into the body over convection", 0.0, 6.0, 0.0)
+    time_constant: jax.Array = parameter("s", "time in which the body follows the wire", 60.0, 3000.0, 300.0)
+    key = "heat-soak"
+    typical: ClassVar[float] = 0.1
+    source = "estimate: minutes, a tenth of the convection"
+    confused_with: ClassVar[tuple[str, ...]] = ("coating", "ambient-drift")
+    shapes: ClassVar[Shapes] = (("time_constant", (150.0, 600.0)),)
+
+    def initial_memory(self, state: WireState, context: StageContext) -> jax.Array:
+        """Return the body's excess over ambient: that of the wire at the first row."""
+        return state.temperature - context.environment.ambient
+
+
 class BodyHeat(ThermalNode):
-    """Body of the arm, which warms within minutes."""
+    """Body of the arm, which warms within minutes, and at the first row is at ambient temperature."""
 
     strength: jax.Array = parameter("1", "conduction into the body over convection", 0.0, 6.0, 0.0)
     time_constant: jax.Array = parameter("s", "time in which the body follows the wire", 20.0, 3000.0, 100.0)
@@ -158,4 +174,4 @@ class RestOffset(MechanismEffect):
         return jnp.where(self.strength > 0.0, ahead, behind)
 
 
-ARM_EFFECTS = {effect.key: effect for effect in (Grains, BodyHeat, ThermocoupleContact, RestOffset)}
+ARM_EFFECTS = {effect.key: effect for effect in (Grains, HeatSoak, BodyHeat, ThermocoupleContact, RestOffset)}
