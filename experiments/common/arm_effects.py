@@ -137,7 +137,7 @@ class ThermocoupleContact(SensorEffect):
     """
 
     strength: jax.Array = parameter("s", "time constant of each of the two lags", 0.0, 10.0, 0.0)
-    silicone_share: jax.Array = parameter("1", "share of the silicone in the reading", 0.0, 1.0, 0.2)
+    silicone_share: jax.Array = parameter("1", "share of the silicone in the reading", 0.0, 1.0, 0.0)
     silicone_time: jax.Array = parameter("s", "time in which the silicone follows the wire", 0.5, 60.0, 4.0)
     key = "thermocouple-contact"
     typical: ClassVar[float] = 1.0

@@ -230,8 +230,10 @@ class JointProblem:
         self.own = np.array([i for i, p in enumerate(priors) if p is not None and p.is_own])
         self.deviation = np.array([p.deviation if p else 1.0 for p in priors])
         constant = {n: 0.0 if out else CONSTANT.get(n, 0.0) for n, out in zip(fitter.names, left_out, strict=True)}
-        middle = [PRIORS[n].mean if n in PRIORS and not n.endswith(".strength") else constant[n] for n in fitter.names]
-        middle = [p.mean if p else m for p, m in zip(priors, middle, strict=True)]
+        middle = [
+            p.mean if p else constant[n] if n.endswith(".strength") else float(parameters.get(fitter.plant, n))
+            for n, p in zip(fitter.names, priors, strict=True)
+        ]
         self.mean = np.tile(middle, (len(fitter.logs), 1))
         for name in ("initial.temperature", "environment.ambient"):
             self.mean[:, fitter.names.index(name)] = [log.start_temperature for log in fitter.logs]

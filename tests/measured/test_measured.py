@@ -326,10 +326,9 @@ def test_grains_set_their_latent_heat_free_and_creep(monkeypatch):
     warm = response(strength=1.0, latent_heat=1e8, creep=0.0)
     np.testing.assert_allclose(cold["temperature"], law["temperature"], atol=0.01)  # up to errors of the steps
     assert np.max(np.abs(cold["displacement"] - law["displacement"])) < 0.1 * np.max(law["displacement"])
-    capacity = 3e6
-    rising = np.argmax(cold["displacement"] > 0.9 * np.max(cold["displacement"]))
-    delay = cold["temperature"][rising] - warm["temperature"][rising]
-    assert 0.5 * 1e8 / capacity < delay < 1e8 / capacity
+    colder = np.max(cold["temperature"] - warm["temperature"])
+    assert 0.2 * 1e8 / 3e6 < colder < 1e8 / 3e6  # latent heat over heat capacity, less the smaller losses
+    assert np.min(cold["temperature"] - warm["temperature"]) < 0.0  # on cooling the heat is set free
     crept = response(strength=1.0, latent_heat=0.0, creep=0.002, creep_time=2.0)
     change = crept["displacement"] - cold["displacement"]
     assert np.max(np.abs(change[time < 10.0])) > 1e-5 and abs(change[-1]) < 1e-6
