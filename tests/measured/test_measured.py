@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from experiments.fitting import interval_coverage
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -293,12 +294,12 @@ def test_effects_of_the_arm_are_absent_without_strength(monkeypatch):
     for key, kind in ARM_EFFECTS.items():
         assert kind is Grains or not effect_problems(key, kind, catalogue())
         assert float(kind().strength) == 0.0
-    motion, time = np.array([0.0, 1e-4, 4e-4, 0.0]), np.arange(4.0)
+    motion, time = jnp.array([0.0, 1e-4, 4e-4, 0.0]), jnp.arange(4.0)
     assert not np.any(RestOffset().displacement(motion, {}, time))
-    slack, stretched = (RestOffset(strength=s).displacement(motion, {}, time) for s in (2e-4, -2e-4))
+    slack, stretched = (RestOffset(strength=jnp.asarray(s)).displacement(motion, {}, time) for s in (2e-4, -2e-4))
     np.testing.assert_allclose(slack, [2e-4, 1e-4, 0.0, 0.0])
     np.testing.assert_allclose(stretched, [-2e-4, -1.5e-4, 0.0, 0.0])
-    series = np.array([20.0, 60.0, 40.0, 30.0])
+    series = jnp.array([20.0, 60.0, 40.0, 30.0])
     np.testing.assert_allclose(ThermocoupleContact().reading(series, {}, time), 0.0, atol=1e-9)
 
 
