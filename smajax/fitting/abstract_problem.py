@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.fitting.compilation import vmap_unless_single
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.parameters import CheckedModule
 
 
@@ -58,7 +59,7 @@ def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[A
     return problem.residual(vector)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def costs(problem: AbstractFitProblem, vectors: Float[Array, "m p"]) -> Float[Array, " m"]:
     """Compute the sums of squares of the residual at several vectors, as one batch.
 

@@ -38,6 +38,7 @@ from smajax.fitting.transformation_check import (
     transformation_gap,
 )
 from smajax.fitting.unknowns import Settings
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.diagnostics import describe_parameters
@@ -184,7 +185,7 @@ def _check_starts(search: _Search, problem: Problem, plant: Plant) -> None:
     """Raise ``NumericsError`` if the simulation fails at every start."""
     if any(status is not SolverStatus.failed for status in search.result.statuses):
         return
-    _, codes = eqx.filter_jit(lambda p, v: p.predict(v))(problem, jnp.asarray(search.starts[0]))
+    _, codes = jit_with_kernels(lambda p, v: p.predict(v))(problem, jnp.asarray(search.starts[0]))
     status = SimulationStatus(int(jnp.max(codes)))
     raise NumericsError(f"{status.name} at the start values: {status.hint}; parameters: {describe_parameters(plant)}")
 

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.progress import CallbackStop, stoppable
 
 # Least number of random points that are simulated to choose starts from. Chosen by trial on fits of rigs;
@@ -248,7 +248,7 @@ class MultiStartSolver:
         return self._solver, self._fn, self._points, self._states, self._bounds, args, self._sequential
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
     struct = jax.ShapeDtypeStruct((size,), jnp.float64)
     return jax.vmap(lambda y: solver.init(lambda y, args: (y, None), y, None, {}, struct, None, frozenset()))(points)
@@ -282,8 +282,8 @@ def _step_all(
     return vmap_unless_single(batched, points.shape[0], points, states, bounds)
 
 
-_step_starts = eqx.filter_jit(_step_all)
-_step_starts_large = eqx.filter_jit(
+_step_starts = jit_with_kernels(_step_all)
+_step_starts_large = jit_with_kernels(
     _step_all,
     compiler_options=LARGE_PROGRAM_OPTIONS,  # pyright: ignore[reportCallIssue]
 )

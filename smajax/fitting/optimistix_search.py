@@ -17,6 +17,7 @@ import optimistix as optx
 from smajax.fitting.bound_transformation import BoundTransformation
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.progress import CallbackStop, stoppable
 
 # A search that ends above its best cost by more than this share of it, which covers rounding, has not converged.
@@ -153,7 +154,7 @@ class _Function(eqx.Module):
         return (0.5 * jnp.sum(residual**2) if self.is_cost else residual), None
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple[Any, ...], state: Any) -> tuple[Any, ...]:
     """One step: point and state after it, whether the solver ends and with an error, and vector and cost there."""
     point, state, _ = solver.step(fn, point, search, {}, state, frozenset())
@@ -163,7 +164,7 @@ def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple[Any, ...],
     return point, state, done, result != optx.RESULTS.successful, vector, cost
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _linearise(fn: Residual, vector: jax.Array, args: Any) -> tuple[jax.Array, jax.Array]:
     """Jacobian and residual at a vector."""
 

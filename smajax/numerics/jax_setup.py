@@ -17,7 +17,6 @@ import jax
 XLA_FLAGS = (
     # XLA aborts the process on an unknown option, and the XLA of jax 0.11 no longer has this one.
     *(["--xla_cpu_use_fusion_emitters=false"] if jax.__version_info__ < (0, 11) else []),
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
     *(["--xla_cpu_max_isa=AVX2"] if platform.machine().lower() in ("x86_64", "amd64") else []),
 )
 

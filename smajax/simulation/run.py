@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from smajax import parameters
 from smajax.errors import InputError, NumericsError
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
@@ -163,7 +164,7 @@ def simulate_channels(
     return {c: read[c] for c in channels}, status
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
     """Simulate a plant under inputs on a grid; compiled once per numbers of grid points and samples.
 
@@ -182,7 +183,7 @@ def _response(plant: Plant, inputs: Inputs, states: State, status: Int[Array, ""
     return Simulation(inputs.time[inputs.sample_indices], channels, states, status, temperature_holds & strain_holds)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def simulate_vector_field(
     plant: Plant, inputs: Inputs, solver: dfx.AbstractSolver[Any], adjoint: dfx.AbstractAdjoint | None = None
 ) -> Simulation:
@@ -281,7 +282,7 @@ def _is_zero(strength: Float[Array, "..."]) -> bool:
     return not isinstance(strength, Tracer) and float(strength) == 0.0
 
 
-@functools.partial(eqx.filter_jit, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]
+@functools.partial(jit_with_kernels, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]
 def simulate_batch(
     plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]
 ) -> tuple[dict[str, Float[Array, "plants samples"]], Int[Array, " plants"]]:

@@ -15,13 +15,13 @@ What makes a sweep fast:
 import math
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.process import count_cores
 from smajax.sweeps.problem import AbstractSweepProblem
 
@@ -45,10 +45,10 @@ def _evaluate_batch(
 
 
 _WIDE_VECTORS: Any = {"compiler_options": {"xla_cpu_prefer_vector_width": 512}}
-evaluate_batch: Any = eqx.filter_jit(_evaluate_batch, **_WIDE_VECTORS)
+evaluate_batch: Any = jit_with_kernels(_evaluate_batch, **_WIDE_VECTORS)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def differentiate_batch(
     problem: AbstractSweepProblem, designs: Float[Array, "designs axes"], steps: int
 ) -> tuple[dict[str, Float[Array, " designs"]], dict[str, Float[Array, "designs axes"]], Int[Array, " designs"]]:

@@ -14,7 +14,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +23,7 @@ from jaxtyping import Float
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario, rollout_with_solutions
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of frequencies, evenly spaced on a logarithmic axis from a tenth of a cycle over the whole rollout to the
 # Nyquist frequency, and the lowest one times the rollout's duration over pi. Chosen by trial;
@@ -63,14 +63,14 @@ class Margins(NamedTuple):
 _OPEN_LOOP = Margins(math.inf, math.inf, 0.0)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _carries(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[jax.Array, jax.Array]:
     """States before each sample of a rollout, flattened, and commands."""
     result, (carries, _) = rollout_with_solutions(system, loop, scenario)
     return carries, result.command
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _loop_gain(
     system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, reference: jax.Array, draw: jax.Array, z: jax.Array
 ) -> jax.Array:
@@ -163,7 +163,7 @@ def worst_margins(margins: Sequence[Margins]) -> Margins:
     return Margins(min(gain), min(phase), max(sensitivity))
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _loop_gains(
     system: AbstractSampledSystem,
     loop: ClosedLoop,

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,6 +12,7 @@ from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
 from smajax.control.loop.rollout import Rollout, Scenario, simulate_loop
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 
 def rollout_members(
@@ -76,7 +76,7 @@ def simulate_members(
     )
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _simulate(
     system: AbstractSampledSystem,
     loop: ClosedLoop,

@@ -13,6 +13,7 @@ from smajax.channels import numbered
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of commands that are tried at each sample: 0, and a geometric series up to the largest command whose smallest
 # power is this share of the largest. Chosen by trial; tests/unit/control/test_tuning.py holds it.
@@ -68,7 +69,7 @@ def _greedy_rollout(
     ``(count,)`` each.
     """
 
-    @eqx.filter_jit
+    @jit_with_kernels
     def greedy(max_commands: jax.Array) -> tuple[jax.Array, jax.Array]:
         shares = jnp.append(jnp.zeros(1), jnp.sqrt(jnp.geomspace(_MIN_POWER, 1.0, _COMMANDS - 1)))
         commands = shares[:, None] * max_commands[None]
@@ -124,7 +125,7 @@ def falls_when_heated(system: AbstractSampledSystem, loop: ClosedLoop) -> bool:
         state, _, _ = system.step(state, commands)
         return state, system.observe(state, commands)[loop.channel]
 
-    run = eqx.filter_jit(lambda state: jax.lax.scan(sample, state, None, length=count)[1])
+    run = jit_with_kernels(lambda state: jax.lax.scan(sample, state, None, length=count)[1])
     motion = np.asarray(run(system.start())) - _value_at_rest(system, loop.channel)
     motion = motion[np.isfinite(motion)]
     return len(motion) > 0 and float(motion[np.argmax(np.abs(motion))]) < 0.0

@@ -31,6 +31,7 @@ from smajax.control.sampling_period import check_same_period
 from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.simulation.argument_checks import A_PLANT, check_type
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
@@ -274,7 +275,7 @@ def _sample(
     return (state, loop_state, command), (channels, command, extra)
 
 
-_compiled_simulation = eqx.filter_jit(simulate_loop)
+_compiled_simulation = jit_with_kernels(simulate_loop)
 
 
 @eqx.filter_custom_jvp

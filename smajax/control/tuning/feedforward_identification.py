@@ -10,7 +10,6 @@ Source: krejci2001, for the operator and its inverse.
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +27,7 @@ from smajax.fitting.io_models.problem import Series
 from smajax.fitting.io_models.specs import prandtl_ishlinskii_spec
 from smajax.laws.prandtl_ishlinskii import PrandtlIshlinskii
 from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii, inverse_operator
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.simulation.step_size import time_constant
 
 # Number of samples of a cycle, one per time constant of the wire: 200 time constants for each branch. Chosen by
@@ -158,7 +158,7 @@ def _second_cycle(
     return command[_SAMPLES:], np.asarray(value)[_SAMPLES:], np.asarray(temperature)[_SAMPLES:]
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _simulate(slow: SampledPlant, loop: ClosedLoop, command: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Channel and highest temperature under a command, shape ``(n,)`` each."""
 

@@ -24,6 +24,7 @@ from smajax.control.sampled_plant import AbstractSampledSystem
 from smajax.control.sampling_period import check_same_period
 from smajax.control.tuning.objective import Objective, ObjectiveTerms, ReferenceSignal, evaluate_objective
 from smajax.errors import InputError
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of noise draws that gains are tuned for, so that they do not overfit a single one. Chosen by
 # experiments/papers/rotary/rotary_tracking.py.
@@ -226,7 +227,7 @@ def noise_draws(
     return jnp.concatenate([scenario.draws[None], jnp.asarray(others)])
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def evaluate_points(
     problem: TuningProblem, points: Float[Array, "points gains"], objective: Objective
 ) -> tuple[Float[Array, "points terms"], Float[Array, "points limits"]]:
@@ -263,6 +264,6 @@ def simulate_gains(problem: TuningProblem, gains: Mapping[str, Any]) -> Rollout:
     return _simulate_gains(problem, {name: jnp.asarray(value, jnp.float64) for name, value in gains.items()})
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _simulate_gains(problem: TuningProblem, gains: dict[str, jax.Array]) -> Rollout:
     return problem.simulate(gains)

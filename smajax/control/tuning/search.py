@@ -22,6 +22,7 @@ from smajax.control.tuning.objective import LIMITS, TERMS, Objective, residual
 from smajax.control.tuning.problem import TuningProblem, evaluate_points
 from smajax.control.tuning.trust_region import SearchState
 from smajax.errors import NumericsError
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of points that one call of the compiled program evaluates.
 BATCH = 8
@@ -61,7 +62,7 @@ class _CostArguments(NamedTuple):
     penalty: jax.Array
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _cost_and_gradient(point: jax.Array, arguments: _CostArguments) -> tuple[jax.Array, jax.Array]:
     """The sum of squares of all residuals, mean over the members, and its gradient."""
     objective, scale, penalty = arguments.objective, arguments.scale, arguments.penalty
@@ -74,7 +75,7 @@ def _cost_and_gradient(point: jax.Array, arguments: _CostArguments) -> tuple[jax
     return jax.value_and_grad(cost)(point)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def limit_violations(
     problem: TuningProblem, point: Float[Array, " gains"], objective: Objective
 ) -> Float[Array, "members limits samples"]:

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from jaxtyping import Float
 
 from smajax.control.analysis.step_response import Jumps
 from smajax.control.tuning.objective import LIMITS, Objective
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 # All constants were chosen by experiments/papers/hip/hip_gains.py; tests/unit/control/test_tuning.py holds settling
 # time and rollouts.
@@ -233,7 +233,7 @@ def _solve(program: _Program, point: np.ndarray, span: np.ndarray, radius: float
     return result.x[:size] if result.success else None
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _values_and_slopes(
     response: Callable[[jax.Array], tuple[jax.Array, jax.Array]], point: jax.Array
 ) -> tuple[Any, ...]:

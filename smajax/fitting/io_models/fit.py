@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +32,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.laws import response
 from smajax.laws.base import AbstractInputOutputModel
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.progress import CallbackStop, stoppable
 
 # All constants of the search were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py,
@@ -155,8 +155,8 @@ class IOModelFit:
         return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input), evenly_spaced=True))
 
 
-_respond = eqx.filter_jit(response.compute_response)
-_weighted_residual = eqx.filter_jit(residual)
+_respond = jit_with_kernels(response.compute_response)
+_weighted_residual = jit_with_kernels(residual)
 
 
 class _SearchEnd(NamedTuple):

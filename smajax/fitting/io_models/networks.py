@@ -21,7 +21,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,6 +30,7 @@ from jaxtyping import Array, Float
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
 from smajax.fitting.multi_start import MultiStartSolver
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.nonsmooth import clip
 from smajax.progress import CallbackStop, stoppable
 
@@ -265,7 +265,7 @@ def divergence_rate(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
     return 1.0 - np.mean(bounded, axis=0)
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _outputs(problem: IOModelProblem, vectors: jax.Array) -> jax.Array:
     """Outputs at points, shape ``(s, r, n)``."""
     return jax.lax.map(problem.predict, vectors)
@@ -359,7 +359,7 @@ def _distinct_ends(end_costs: list[float]) -> list[int]:
     return chosen[:_MAX_ENDS]
 
 
-@eqx.filter_jit
+@jit_with_kernels
 def _minimise_closed_loop(
     point: jax.Array, ridge_problem: RidgeProblem, bounds: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
