@@ -11,13 +11,14 @@ from experiments.common.base import say
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import Module, filter_jit
+from equinox import Module
 
 from smajax import parameters
 from smajax.files.rig_file import Rig
 from smajax.fitting import levenberg_marquardt as least_squares
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem, build_problem
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.effects.base import AbstractEffect
 from smajax.recordings.recording import Recording
 
@@ -76,7 +77,7 @@ def residual_of(vector: jax.Array, model: Any) -> jax.Array:
     return model.residual(vector)
 
 
-@filter_jit
+@jit_with_kernels
 def predict(model: Any, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return ``model.predict(vector)``, compiled."""
     return model.predict(vector)

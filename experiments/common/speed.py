@@ -17,11 +17,11 @@ from experiments.common.base import ROOT, Row, exponent, medians, read_shipped, 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
 from smajax import parameters
 from smajax.files.rig_file import Rig
 from smajax.fitting.problem import Problem, build_problem
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.recordings.recording import Recording
 from smajax.simulation import run as simulate
 from smajax.simulation.inputs import Inputs
@@ -31,12 +31,12 @@ DESIGNS = 1024
 EXTRA_PARAMETERS = ("material.clausius_clapeyron_austenite", "material.clausius_clapeyron_martensite")
 
 
-@filter_jit
+@jit_with_kernels
 def _model(problem: Problem, vector: jax.Array) -> jax.Array:
     return problem.residual(vector)
 
 
-@filter_jit
+@jit_with_kernels
 def _linearised(problem: Problem, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
     def residual_twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
         residual = problem.residual(v)

@@ -61,6 +61,7 @@ from smajax.control.tuning.tune import TuningResult, tune
 from smajax.files.rig_file import Rig
 from smajax.fitting.fit import fit
 from smajax.fitting.result import FitResult
+from smajax.numerics.loop_kernels import jit_with_kernels
 from tests.reference.rig_file import RigFile
 
 WEIGHTS = {"tracking": 1.0, "effort": 1.0}
@@ -72,10 +73,10 @@ _LIMIT_SHARE = 0.75  # position of the limit between the peak of the fitted plan
 
 def gradient_rows(problem: TuningProblem) -> list[Row]:
     """Compare the gradient of the objective with central differences over a minute at 50 Hz, and time it."""
-    cost = jax.jit(
+    cost = jit_with_kernels(
         lambda x: jnp.sum(problem.objective_terms(x, make_objective({"tracking": 1.0}, {})).terms[:, 0] ** 2)
     )
-    slope, forward = (jax.jit(mode(cost)) for mode in (jax.grad, jax.jacfwd))
+    slope, forward = (jit_with_kernels(mode(cost)) for mode in (jax.grad, jax.jacfwd))
     point = jnp.asarray(problem.start)
     gradient = np.asarray(slope(point))
     central = np.array(

@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.process import count_cores
 from smajax.sweeps import chunks, compilation
 from smajax.sweeps.refinement import refine, separated_starts
@@ -329,7 +330,7 @@ def interpreted_rows(loop: Loop, sweep, ours: float, substeps: int, quick: bool)
     each = 1e3 * time_interpreted(loop, designs, substeps)
     problem = sweep.problem()
     steps = int(problem.steps(designs).max())
-    stroke = jax.jit(lambda design: problem.evaluate(design, steps)[0]["stroke"])
+    stroke = jit_with_kernels(lambda design: problem.evaluate(design, steps)[0]["stroke"])
     stroke(jnp.asarray(designs[0])).block_until_ready()
     start = time.perf_counter()
     for k in range(16):

@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 from experiments.common.base import Row, arguments, finish, read_shipped, say
 
 import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.simulation.compilation import BLOCK, flatten_state, in_blocks, traced_step
 from smajax.simulation.inputs import Inputs, discretise
@@ -128,7 +128,7 @@ def compare(name: str, repeats: int) -> Row:
     inputs = discretise(rig.plant, recording, interpolation=rig.interpolation)
     first = rig.plant.init(inputs.sample_signals[0])
     traced_step(rig.plant, first, inputs.before[0], inputs.after[0], jnp.asarray(0.01))  # both find the step traced
-    calls = {k: eqx.filter_jit(f) for k, f in (("scan", with_scan), ("diffrax", with_diffrax))}
+    calls = {k: jit_with_kernels(f) for k, f in (("scan", with_scan), ("diffrax", with_diffrax))}
     compilation = {k: seconds(lambda f=f: f(rig.plant, inputs)) for k, f in calls.items()}
     times = [{k: seconds(lambda f=f: f(rig.plant, inputs)) for k, f in calls.items()} for _ in range(repeats)]
     run = {k: min(each[k] for each in times) for k in calls}

@@ -178,7 +178,7 @@ def _simulate(vector: Float[Array, " p"], model: SlottedModel) -> Simulated:
 # The program without derivatives.
 simulate: Callable[[jax.Array, SlottedModel], Simulated] = jit_with_kernels(
     _simulate,
-    compiler_options=LARGE_PROGRAM_OPTIONS,  # pyright: ignore[reportCallIssue]
+    compiler_options=LARGE_PROGRAM_OPTIONS,
 )
 
 

@@ -285,5 +285,5 @@ def _step_all(
 _step_starts = jit_with_kernels(_step_all)
 _step_starts_large = jit_with_kernels(
     _step_all,
-    compiler_options=LARGE_PROGRAM_OPTIONS,  # pyright: ignore[reportCallIssue]
+    compiler_options=LARGE_PROGRAM_OPTIONS,
 )

@@ -55,9 +55,10 @@ _UNAVAILABLE = {
     "top_k",
     "triangular_solve",
 }
-# XLA of jaxlib 0.10 leaves reductions of 4096 numbers or more, and products of matrices whose largest dimension is 8 or
-# more, to the library YNNPACK. Half of the first, since XLA may join reductions.
-_LIBRARY_REDUCTION, _LIBRARY_PRODUCT = 2048, 8
+# XLA of jaxlib 0.10 leaves reductions of at least this many numbers to the library YNNPACK, and products of two
+# matrices with a dimension of at least this length; a product with a vector may become a reduction.
+# test_loops_at_the_thresholds_of_the_library_compile of tests/unit/numerics/test_loop_kernels.py holds them.
+_LIBRARY_REDUCTION, _LIBRARY_PRODUCT = 4096, 8
 
 
 def jit_with_kernels(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
@@ -127,10 +128,16 @@ def _make_kernels(module: mlir.ModuleContext, operation: Any) -> None:
     for inner in _children(operation):
         if inner.name == "func.call":
             _make_kernels_of_function(module, inner.attributes["callee"].value)
-        elif inner.name == "stablehlo.while" and _can_be_kernel(module, inner, set()):
+        elif inner.name == "stablehlo.while" and _has_arrays(inner) and _can_be_kernel(module, inner, set()):
             _move_to_kernel(module, inner)
         else:
             _make_kernels(module, inner)
+
+
+def _has_arrays(loop: Any) -> bool:
+    """Return whether all operands are arrays of known shapes: no tokens, nor the symbolic shapes of an export."""
+    types = [operand.type for operand in loop.operands]
+    return all(isinstance(kind, ir.RankedTensorType) and kind.has_static_shape for kind in types)
 
 
 def _can_be_kernel(module: mlir.ModuleContext, operation: Any, checked: set[str]) -> bool:
@@ -192,9 +199,11 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
         with ir.InsertionPoint(body.add_entry_block()):
             inputs = [stablehlo.get_tuple_element(body.arguments[0], k) for k in range(len(used))]
             loop.move_before(func.ReturnOp(results).operation)
-    for value, replacement in zip(used, inputs, strict=True):
-        for operation in (loop, *_operations_inside(loop)):
-            operation.replace_uses_of_with(value, replacement)
+    replacements = dict(zip(used, inputs, strict=True))
+    for operation in (loop, *_operations_inside(loop)):
+        for k, operand in enumerate(operation.operands):
+            if operand in replacements:
+                operation.operands[k] = replacements[operand]
 
 
 def _values_from_outside(loop: Any) -> list[Any]:

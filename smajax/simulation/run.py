@@ -282,7 +282,7 @@ def _is_zero(strength: Float[Array, "..."]) -> bool:
     return not isinstance(strength, Tracer) and float(strength) == 0.0
 
 
-@functools.partial(jit_with_kernels, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]
+@functools.partial(jit_with_kernels, compiler_options=_BATCH_OPTIONS)
 def simulate_batch(
     plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]
 ) -> tuple[dict[str, Float[Array, "plants samples"]], Int[Array, " plants"]]:

@@ -23,7 +23,6 @@ from experiments.common.charts import Chart, Curve, draw
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
 from smajax import parameters
 from smajax.actuators.cooling_curve import CoolingCurve
@@ -31,6 +30,7 @@ from smajax.actuators.cross_section import CrossSection
 from smajax.actuators.flexural import FlexuralActuator
 from smajax.actuators.section_grid import SpacedWires
 from smajax.files import actuator_file
+from smajax.numerics.loop_kernels import jit_with_kernels
 from tests.reference import cross_section as reference
 
 TARGET, PAUSE, DURATION = 55.0, 2.0, 10.0
@@ -48,7 +48,7 @@ NAMES = {
 }
 
 
-@filter_jit
+@jit_with_kernels
 def cool_section(section: CrossSection) -> tuple[CoolingCurve, jax.Array, jax.Array]:
     """Return the cooling curve, the time to the target (s), and the hottest temperature after the pause (degC)."""
     curve = section.cool(jnp.asarray(DURATION))
@@ -70,8 +70,8 @@ def elasticities(actuator: FlexuralActuator) -> tuple[dict[str, float], dict[str
         changed = parameters.replace(actuator, {name: factors[i] * nominal[i] for i, name in enumerate(NAMES)})
         return changed.section.cool(DURATION).time_to_reach(TARGET)
 
-    value = jax.jit(seconds)
-    slopes = jax.jit(jax.jacfwd(seconds))
+    value = jit_with_kernels(seconds)
+    slopes = jit_with_kernels(jax.jacfwd(seconds))
     ones = jnp.ones(len(NAMES))
     walls = medians(
         5, {"value": lambda: value(ones).block_until_ready(), "jacobian": lambda: slopes(ones).block_until_ready()}
@@ -82,7 +82,7 @@ def elasticities(actuator: FlexuralActuator) -> tuple[dict[str, float], dict[str
 def cycle_rows(actuator: FlexuralActuator, base: float) -> list[Row]:
     """Return the cooling time of two wires of 300 um, and the frequency of the cycle with it."""
     rows: list[Row] = []
-    frequency = float(filter_jit(lambda m: m.metrics()["bandwidth"])(actuator))
+    frequency = float(jit_with_kernels(lambda m: m.metrics()["bandwidth"])(actuator))
     rows.append(
         Row("300 um, 2 wires: time to 55 degC", "order of 1 s", f"{base:.3f} s", 0.3 < base < 3.0, {"seconds": base})
     )

@@ -20,13 +20,13 @@ from experiments.common.charts import Chart, Curve, draw
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 from scipy.integrate import quad
 
 from smajax import parameters
 from smajax.actuators.bending_moment import BilinearStressStrain
 from smajax.actuators.flexural import FlexuralActuator
 from smajax.files import actuator_file
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.materials.brinson import Brinson
 
 TESTED = (125, 250, 300, 375)
@@ -56,7 +56,7 @@ def moment_by_quadrature(law: BilinearStressStrain, diameter: float, curvature: 
     return sum(quad(fibre, a, b, epsabs=0.0, epsrel=1e-13)[0] for a, b in ((0.0, edge), (edge, np.pi / 2)) if b > a)
 
 
-@filter_jit
+@jit_with_kernels
 def compute_metrics(actuator: FlexuralActuator) -> dict[str, jax.Array]:
     """Return all metrics except those that need the cooling."""
     return {
@@ -126,7 +126,7 @@ def moment_rows(actuator: FlexuralActuator, quick: bool) -> list[Row]:
     )
 
     rows.append(yield_row(law, curvature))
-    slope = jax.jit(jax.vmap(jax.grad(lambda d: jnp.log(law.moment(jnp.exp(d), curvature)))))
+    slope = jit_with_kernels(jax.vmap(jax.grad(lambda d: jnp.log(law.moment(jnp.exp(d), curvature)))))
     powers = {d: float(slope(jnp.log(jnp.asarray([d * 1e-6])))[0]) for d in (100, 200, 250, 300, 375, 500)}
     text = ", ".join(f"{d} um: {p:.2f}" for d, p in powers.items())
     explanation = (
@@ -284,7 +284,7 @@ def efficiency_rows(actuator: FlexuralActuator, tested: Tested) -> list[Row]:
     return rows
 
 
-@filter_jit
+@jit_with_kernels
 def heat_loss_time_constant(actuator: FlexuralActuator) -> jax.Array:
     """Return the time constant in s of the heat flow from the wires into the silicone while they cool to the target."""
     cooling = actuator.cooling

@@ -23,11 +23,11 @@ from experiments.common.charts import Chart, Curve, draw
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
 from smajax import parameters
 from smajax.actuators.knee import Knee, KneeState
 from smajax.files import actuator_file
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.materials.base import Fractions
 
 SHARE = jnp.linspace(0.0, 1.0, 401)
@@ -40,7 +40,7 @@ STATES = {
 VOLTAGES = (2.5, 3.5, 5.0, 5.5)
 
 
-@filter_jit
+@jit_with_kernels
 def simulate_knee(knee: Knee) -> tuple[KneeState, jax.Array, jax.Array]:
     """Return the states over the command's duration, the springs' forces and the clutch's slip."""
     trajectory = knee.trajectory(SHARE)

@@ -20,12 +20,12 @@ from experiments.common.charts import Chart, Curve, draw
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
 from smajax.actuators import pseudo_rigid_body
 from smajax.actuators.elastica import solve_elastica
 from smajax.actuators.soft_bending import SoftBending
 from smajax.files import actuator_file
+from smajax.numerics.loop_kernels import jit_with_kernels
 
 MEASURED = 44.04
 # Slopes at the tip in rad, and lambda there by an independent evaluation of the corrected eq. 23.
@@ -163,7 +163,7 @@ def main() -> None:
     args = arguments(__doc__)
     actuator = actuator_file.read_actuator(ROOT / "data" / "actuators" / "soft-bending" / "rig.toml")
     assert isinstance(actuator, SoftBending)
-    metrics = {name: float(value) for name, value in filter_jit(lambda m: m.metrics())(actuator).items()}
+    metrics = {name: float(value) for name, value in jit_with_kernels(lambda m: m.metrics())(actuator).items()}
     forces = np.linspace(0.05, 12.0, 60 if args.quick else 240)
     slopes, angles, shares = (np.asarray(v) for v in balance_beam(jnp.asarray(forces)))
     rows = [*share_rows(), *elastica_rows(forces, slopes, angles, shares), *actuator_rows(actuator, metrics)]

@@ -1,10 +1,12 @@
 """Functions with kernels give the numbers of the plain functions, also transformed, and XLA compiles them."""
 
+import re
 import subprocess
 import sys
 
 import equinox as eqx
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -151,6 +153,72 @@ def test_operations_that_xla_cannot_compile_into_a_kernel_are_left_outside(name,
         for value, other in zip(jax.tree.leaves(program(START)), jax.tree.leaves(function(START)), strict=True):
             np.testing.assert_allclose(value, other, rtol=1e-12, atol=1e-14)
         assert program.lower(START).as_text().count(KERNEL) == expected
+
+
+REDUCTIONS = {
+    "sum": lambda n: lambda state: state / jnp.sum(jnp.resize(state, n)),
+    "largest": lambda n: lambda state: state / jnp.max(jnp.resize(jnp.sin(state), n)),
+    "sum over rows": lambda n: lambda state: state * jnp.sum(jnp.resize(state, (n // 16, 16)), axis=0)[1],
+    "sum over columns": lambda n: lambda state: state * jnp.sum(jnp.resize(state, (16, n // 16)), axis=1)[1],
+    "running sum": lambda n: lambda state: state / jnp.cumsum(jnp.resize(state, n))[-1],
+    "position": lambda n: lambda state: state + jnp.argmax(jnp.resize(state, n)),
+    "product with a vector": lambda n: lambda state: state / jnp.sum(jnp.resize(state, (n // 64, 64)) @ state[:64]),
+    "products of vectors": lambda n: (
+        lambda state: (
+            state
+            / jnp.sum(
+                jnp.einsum("bi,bi->b", jnp.resize(state, (n // 64, 64)), jnp.resize(jnp.cos(state), (n // 64, 64)))
+            )
+        )
+    ),
+    "norm": lambda n: lambda state: state / jnp.sqrt(jnp.vdot(jnp.resize(state, n), jnp.resize(state, n))),
+}
+PRODUCTS = ((7, 7, 7), (8, 7, 2), (2, 8, 2), (2, 2, 8), (1, 8, 8), (8, 1, 8), (8, 8, 1), (20, 20, 20))
+
+
+@pytest.mark.parametrize("size", [4080, 4096, 5120])
+@pytest.mark.parametrize("name", REDUCTIONS)
+def test_loops_at_the_thresholds_of_the_library_compile(name, size):
+    check_loop(REDUCTIONS[name](size))
+
+
+@pytest.mark.parametrize("shape", PRODUCTS)
+@pytest.mark.parametrize("batch", [None, 3])
+def test_loops_with_products_of_matrices_compile(shape, batch):
+    m, k, n = shape
+    first, second = ((m, k), (k, n)) if batch is None else ((batch, m, k), (batch, k, n))
+    check_loop(lambda state: state / jnp.sum(jnp.resize(state, first) @ jnp.resize(jnp.cos(state), second)))
+
+
+def check_loop(function):
+    """The loop of a function gives the same numbers with kernels; the process may not end either."""
+
+    def run(start):
+        return jax.lax.scan(lambda state, _: (jnp.tanh(function(state)) + 0.1, state[0]), start, None, length=4)
+
+    for value, other in zip(jax.tree.leaves(jit_with_kernels(run)(START)), jax.tree.leaves(run(START)), strict=True):
+        np.testing.assert_allclose(value, other, rtol=1e-10)
+
+
+def test_programs_are_exported():
+    exported = jax.export.export(jax.jit(jit_with_kernels(loop)), platforms=["cpu"])(jnp.asarray(0.7), START, ROWS)
+    assert KERNEL in exported.mlir_module()
+    np.testing.assert_allclose(exported.call(jnp.asarray(0.7), START, ROWS)[0], loop(0.7, START, ROWS)[0], rtol=1e-12)
+    several = jax.export.export(jax.jit(jit_with_kernels(loop)), platforms=["cpu", "cuda"])
+    assert several(jnp.asarray(0.7), START, ROWS).platforms == ("cpu", "cuda")
+    (rows,) = jax.export.symbolic_shape("rows")
+    symbolic = jax.export.export(jax.jit(jit_with_kernels(lambda r: loop(0.7, START, r)[0])), platforms=["cpu"])
+    program = symbolic(jax.ShapeDtypeStruct((rows,), jnp.float64))
+    np.testing.assert_allclose(program.call(ROWS), loop(0.7, START, ROWS)[0], rtol=1e-12)
+
+
+def test_every_program_of_the_package_is_compiled_with_kernels():
+    """Otherwise its digits and its speed would not be those of the same loop in another program."""
+    # Steps that other programs contain, without a loop of their own over time.
+    contained = {"knee.py": 1, "compilation.py": 2, "loop_kernels.py": 3, "rig_problem.py": 2}
+    for path in (ROOT / "smajax").rglob("*.py"):
+        found = re.findall(r"^[^#`]*\b(?:filter_jit|jax\.jit\()", path.read_text("utf-8"), re.MULTILINE)
+        assert len(found) <= contained.get(path.name, 0), path
 
 
 def test_a_program_for_several_devices_is_unchanged():
