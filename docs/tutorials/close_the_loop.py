@@ -22,7 +22,7 @@
 
 # %% [markdown]
 # `prepare_jax` is not needed. It sets JAX up as the command line does: compiled programs are kept between runs, and
-# loops over time steps run faster. It has to be called before JAX compiles anything.
+# compile faster. It has to be called before JAX compiles anything.
 
 # %%
 from smajax.numerics.process import prepare_jax

@@ -1,8 +1,8 @@
 """Compiler options of JAX for a process, and the choice of the CPU for single simulations.
 
 Importing smajax sets none of these: the command line, the tests and the experiments call
-``smajax.numerics.process.prepare_jax``, which sets the options. Without them results differ by rounding, which a search
-over a rough objective may amplify.
+``smajax.numerics.process.prepare_jax``, which sets the options. They serve the speed of compilation and change no
+digit: what would, that a loop is one machine function, belongs to the programs (``smajax.numerics.loop_kernels``).
 """
 
 import contextlib
@@ -12,8 +12,8 @@ from typing import Any
 
 import jax
 
-# A loop over time steps runs many times as fast if all of it, also with large arrays, is compiled into one function.
-# Such a function operates on short vectors, which AVX-512 slows down, and XLA's older emitters compile it faster.
+# Loops operate on short vectors, which AVX-512 slows down, and XLA's older emitters compile what is outside of them
+# faster. test_a_command_and_the_library_give_the_same_document of tests/integration holds that digits stay.
 XLA_FLAGS = (
     # XLA aborts the process on an unknown option, and the XLA of jax 0.11 no longer has this one.
     *(["--xla_cpu_use_fusion_emitters=false"] if jax.__version_info__ < (0, 11) else []),

@@ -104,14 +104,14 @@ ad.deflinear2(_result, lambda cotangent, _: [_argument.bind(cotangent)])
 def _lower_result(ctx: mlir.LoweringRuleContext, leaf: Any) -> list[Any]:
     """Make kernels of the loops in the function whose call computes the result."""
     call, module = leaf.owner, ctx.module_context
-    single_device = getattr(module.axis_context, "num_devices", None) == 1
+    single_cpu = tuple(module.platforms) == ("cpu",) and getattr(module.axis_context, "num_devices", None) == 1
     # The owner of an argument is a block.
-    if single_device and not isinstance(call, ir.Block) and call.name == "func.call":
+    if single_cpu and not isinstance(call, ir.Block) and call.name == "func.call":
         _make_kernels_of_function(module, call.attributes["callee"].value)
     return [leaf]
 
 
-mlir.register_lowering(_result, _lower_result, platform="cpu", cacheable=False)
+mlir.register_lowering(_result, _lower_result, cacheable=False)
 # Names of the functions of each module whose loops are kernels already.
 _finished: weakref.WeakKeyDictionary[Any, set[str]] = weakref.WeakKeyDictionary()
 

@@ -12,16 +12,16 @@ CODE = (
     "from smajax.numerics.process import prepare_jax; prepare_jax(); import os, jax.numpy as jnp; "
     "print(os.environ['XLA_FLAGS']); print(jnp.ones(3).sum().dtype)"
 )
-OURS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (None, ["--xla_cpu_use_fusion_emitters=false", f"--xla_backend_extra_options={OURS}"]),
+        (None, ["--xla_cpu_use_fusion_emitters=false"]),
+        ("--xla_cpu_use_fusion_emitters=true", ["--xla_cpu_use_fusion_emitters=true"]),
         (
-            "--xla_cpu_use_fusion_emitters=true",
-            ["--xla_cpu_use_fusion_emitters=true", f"--xla_backend_extra_options={OURS}"],
+            "--xla_dump_disable_metadata=true",
+            ["--xla_dump_disable_metadata=true", "--xla_cpu_use_fusion_emitters=false"],
         ),
     ],
 )
