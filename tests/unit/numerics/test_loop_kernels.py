@@ -206,10 +206,16 @@ def test_programs_are_exported():
     np.testing.assert_allclose(exported.call(jnp.asarray(0.7), START, ROWS)[0], loop(0.7, START, ROWS)[0], rtol=1e-12)
     several = jax.export.export(jax.jit(jit_with_kernels(loop)), platforms=["cpu", "cuda"])
     assert several(jnp.asarray(0.7), START, ROWS).platforms == ("cpu", "cuda")
-    (rows,) = jax.export.symbolic_shape("rows")
-    symbolic = jax.export.export(jax.jit(jit_with_kernels(lambda r: loop(0.7, START, r)[0])), platforms=["cpu"])
-    program = symbolic(jax.ShapeDtypeStruct((rows,), jnp.float64))
-    np.testing.assert_allclose(program.call(ROWS), loop(0.7, START, ROWS)[0], rtol=1e-12)
+
+
+def test_programs_of_symbolic_shapes_are_exported():
+    def sines(rows):
+        return jax.lax.scan(lambda state, row: (jnp.sin(state) + row, state[0]), START, rows)[1]
+
+    shape = jax.ShapeDtypeStruct(jax.export.symbolic_shape("rows"), jnp.float64)
+    exported = jax.export.export(jax.jit(jit_with_kernels(sines)), platforms=["cpu"])(shape)
+    assert KERNEL not in exported.mlir_module()
+    np.testing.assert_allclose(exported.call(ROWS), sines(ROWS), rtol=1e-12)
 
 
 def test_every_program_of_the_package_is_compiled_with_kernels():
