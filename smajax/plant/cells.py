@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.numerics.nonsmooth import clip
 from smajax.parameters import CheckedModule, parameter
 from smajax.plant.effects.memory import first_order_lag
 from smajax.plant.heat import AbstractHeat
@@ -164,10 +165,11 @@ class Cells(CheckedModule):
             boundaries: Boundaries of the cells, m.
         """
         place = jnp.minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
-        at, middles = 2.0 * place * boundaries[-1], self._middles(boundaries)
-        return jax.vmap(lambda along: jnp.interp(at, middles, along), in_axes=1)(temperature)
+        middles = self._middles(boundaries)
+        passed = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
+        return temperature[0] + passed @ jnp.diff(temperature, axis=0)
 
     def _middles(self, boundaries: jax.Array) -> jax.Array:
         """Distances of the middles of the cells from the clamp; that of an odd number of cells is at half the wire."""
         middles = 0.5 * (boundaries[1:] + boundaries[:-1])
-        return middles.at[-1].set(boundaries[-1]) if self.count % 2 else middles
+        return jnp.append(middles[:-1], boundaries[-1]) if self.count % 2 else middles
