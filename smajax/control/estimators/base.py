@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.channels import numbered
+from smajax.errors import InputError
 from smajax.parameters import CheckedModule
 
 
@@ -91,3 +92,18 @@ def per_wire(channels: dict[str, Float[Array, ""]], name: str) -> Float[Array, "
         name: Name of the channel without the number of a wire, such as ``temperature``.
     """
     return jnp.stack([channels[n] for n in numbered(name, 1 if name in channels else 2)])
+
+
+def check_uniform_wire(system: Any) -> None:
+    """Check that a filter's plant has one temperature and one grain a wire.
+
+    Args:
+        system: The sampled plant or actuator of the filter.
+
+    Raises:
+        InputError: If the plant has cells or grains.
+    """
+    plant = getattr(system, "plant", None)
+    if getattr(plant, "cells", None) is not None or getattr(plant, "grains", None) is not None:
+        cure = "leave out cells under [wire] and grains under [material] in the rig of the filter"
+        raise InputError(f"a Kalman filter takes a wire of one cell and one grain: {cure}")

@@ -34,7 +34,7 @@ from jaxtyping import Array, Float
 
 from smajax import parameters
 from smajax.channels import numbered
-from smajax.control.estimators.base import AbstractFilter, Estimate
+from smajax.control.estimators.base import AbstractFilter, Estimate, check_uniform_wire
 from smajax.control.sampled_plant import SampledPlant
 from smajax.control.sensors.instruments import thermocouple_reading
 from smajax.numerics.implicit_differentiation import jvp
@@ -103,6 +103,9 @@ class EnsembleKalmanFilter(AbstractFilter):
     )
     members: int = eqx.field(static=True, default=_MEMBERS)
     seed: int = eqx.field(static=True, default=0)
+
+    def __check_init__(self) -> None:
+        check_uniform_wire(self.system)
 
     @property
     def period(self) -> float:

@@ -41,7 +41,7 @@ from jaxtyping import Array, Float
 
 from smajax import parameters
 from smajax.channels import channel_of
-from smajax.control.estimators.base import AbstractFilter, Estimate
+from smajax.control.estimators.base import AbstractFilter, Estimate, check_uniform_wire
 from smajax.control.sampled_plant import AbstractSampledSystem, SampledPlant
 from smajax.control.sampling_period import check_same_period
 from smajax.control.sensors.instruments import Instruments, thermocouple_reading
@@ -112,6 +112,7 @@ class ExtendedKalmanFilter(AbstractFilter):
     )
 
     def __check_init__(self) -> None:
+        check_uniform_wire(self.system)
         check_same_period("plant of the filter", self.system.period, "instruments", self.instruments.period)
 
     @property
