@@ -27,9 +27,8 @@ from tests.reference.rough_wire import Constants, Wire
 
 Floats = NDArray[np.float64]
 
-KNOWN = (
-    "latent_heat drift draught draught_instant saturation ceiling friction play lag encoder_drift crosstalk slack slack_span arm"
-).split()
+KNOWN = {"latent_heat", "drift", "draught", "draught_instant", "saturation", "ceiling", "friction", "play", "lag"}
+KNOWN |= {"encoder_drift", "crosstalk", "slack", "slack_span", "arm"}
 KINDS = ("dead-weight", "bias-spring", "antagonistic-rotary")
 GRAVITY = 9.81
 AXIAL_CONDUCTIVITY = 18.0  # W/m/K, NiTi austenite
@@ -88,7 +87,7 @@ class RoughRun:
     stored: Floats
 
 
-def cell_lengths(cells: int, finest: float = 0.15) -> Floats:
+def cell_lengths(cells: int, finest: float = 0.08) -> Floats:
     """Lengths of cells, as shares of the wire, that grow from ``finest`` times the mean at both ends to the middle by a sine."""
     middle = (np.arange(cells) + 0.5) / cells
     lengths = finest + np.sin(math.pi * middle) ** 2
@@ -96,7 +95,12 @@ def cell_lengths(cells: int, finest: float = 0.15) -> Floats:
 
 
 def draw_background(
-    rng: np.random.Generator, wires: int = 1, *, cells: int = 44, grains: int = 12, spread: tuple[float, float] = (2.5, 4.5)
+    rng: np.random.Generator,
+    wires: int = 1,
+    *,
+    cells: int = 44,
+    grains: int = 12,
+    spread: tuple[float, float] = (3.0, 5.0),
 ) -> Background:
     """Draw a background.
 
@@ -112,7 +116,7 @@ def draw_background(
     waves = np.arange(1, 4)[:, None]
     cooling = np.empty((wires, cells))
     for k in range(wires):
-        phase, size = rng.uniform(0.0, 2.0 * math.pi, (3, 1)), rng.uniform(0.01, 0.03, (3, 1))
+        phase, size = rng.uniform(0.0, 2.0 * math.pi, (3, 1)), rng.uniform(0.01, 0.02, (3, 1))
         wave = np.sum(size * np.sin(math.pi * waves * middle + phase), axis=0)
         cooling[k] = 1.0 + wave - np.sum(lengths * wave)
     return Background(
@@ -155,7 +159,10 @@ def simulate(
     _check(rig, hidden)
     hidden = Hidden(*map(float, hidden))
     wires = 2 if rig.kind == "antagonistic-rotary" else 1
-    time, current = np.ascontiguousarray(time, float), np.ascontiguousarray(np.reshape(current, (len(time), wires)), float)
+    time, current = (
+        np.ascontiguousarray(time, float),
+        np.ascontiguousarray(np.reshape(current, (len(time), wires)), float),
+    )
     constants = _constants(rig, background)
     load, fraction, stress = _load(rig)
     states = tuple(_start(rig, background, k, fraction, hidden) for k in (0, wires - 1))
@@ -176,11 +183,17 @@ def simulate(
 
 
 def _check(rig: RigFile, hidden: Hidden) -> None:
-    unknown = [name for name in Hidden._fields if name not in KNOWN and getattr(hidden, name) != Hidden()._asdict()[name]]
+    unknown = [
+        name for name in Hidden._fields if name not in KNOWN and getattr(hidden, name) != Hidden()._asdict()[name]
+    ]
     if rig.kind not in KINDS or rig.control != "current" or unknown:
-        raise ValueError(f"no rough rig of kind '{rig.kind}' under a {rig.control} with {', '.join(unknown) or 'nothing'} hidden")
+        raise ValueError(
+            f"no rough rig of kind '{rig.kind}' under a {rig.control} with {', '.join(unknown) or 'nothing'} hidden"
+        )
     if rig.heat.exponent != 2.0 or rig.heat.capacity_austenite != rig.heat.capacity_martensite or rig.heat.latent_heat:
-        raise ValueError("a rough rig has h0 + h1 T + h2 T^2, one capacity for both phases, and latent heat only as a hidden effect")
+        raise ValueError(
+            "a rough rig has h0 + h1 T + h2 T^2, one capacity for both phases, and latent heat only as a hidden effect"
+        )
 
 
 def _constants(rig: RigFile, background: Background) -> Constants:
@@ -266,7 +279,7 @@ class Sensor(NamedTuple):
         return math.sqrt(self.white**2 + self.slow**2 + self.quantum**2 / 12.0)
 
 
-ENCODER = Sensor(1e-5, 1e-5, 7e-6)
+ENCODER = Sensor(1e-5, 9.5e-6, 6.5e-6)
 ANGLE_ENCODER = Sensor(math.radians(0.025), math.radians(0.05), math.radians(0.03))
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tests.reference.rough_wire import Floats, accept, heat_up, resistance, strain_after, stored
+from tests.reference.rough_wire import accept, heat_up, resistance, stored, strain_after
 
 UNDER_LOAD, HELD, PAIR = 0, 1, 2
 SCALE = 2e10  # Pa, makes stresses of strains: about the wire's modulus
