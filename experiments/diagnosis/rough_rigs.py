@@ -1,7 +1,7 @@
 """Whether a diagnosis names the dominant effect in recordings of rough rigs, which no model matches.
 
     python experiments/diagnosis/rough_rigs.py [--quick] [--only KIND] [--seeds N] [--line SECTION.KEY=VALUE]
-        [--fits] [--json FILE] [--out DIR]
+        [--case NAME] [--fits] [--json FILE] [--out DIR]
 
 The truth is tests/reference/rough.py, which shares no code with smajax: wires of 44 cells between clamps, 12 grains in
 each with transformation temperatures of their own, logistic branches, uneven convection, and a sensor with slow noise
@@ -118,7 +118,14 @@ def diagnosed(rig: RoughRig, train: Any, select: Any, holdout: Any, seed: int) -
 
 
 def cases(kinds: list[str], seeds: int, quick: bool, fits: bool) -> Iterator[Case]:
-    """Yield all cases: with nothing hidden on twice as many seeds."""
+    """Yield all cases: with nothing hidden on twice as many seeds.
+
+    Args:
+        kinds: Kinds of rigs.
+        seeds: Number of seeds of each effect.
+        quick: Yield only the first case with nothing hidden of each kind.
+        fits: Yield only the fits of the one-cell model.
+    """
     for kind in kinds:
         for seed in range(1 if quick else 2 * seeds):
             yield f"{kind}, {FIT}", "nothing", (), {}, seed
@@ -260,6 +267,10 @@ def read_arguments() -> argparse.Namespace:
     more: dict[str, dict[str, Any]] = {
         "--only": {"choices": list(KINDS), "action": "append", "help": "a kind of rig; all by default"},
         "--seeds": {"type": int, "default": 5, "help": "seeds of each effect; with nothing hidden, twice as many"},
+        "--case": {
+            "action": "append",
+            "help": "hidden effects to run, such as latent-heat, or nothing; all by default",
+        },
         "--line": {"action": "append", "default": [], "help": "a setting of all rig files, SECTION.KEY=VALUE"},
         "--fits": {"action": "store_true", "help": "only fit the one-cell model where nothing is hidden"},
     }
@@ -270,8 +281,9 @@ def main() -> None:
     """Run all cases and print the tables."""
     args = read_arguments()
     kinds, lines = args.only or list(KINDS), read_lines(args.line)
-    facts = collect_facts(cases(kinds, args.seeds, args.quick, args.fits), lines, run, args.out)
-    rows = fit_rows(facts, kinds)
+    chosen = (c for c in cases(kinds, args.seeds, args.quick, args.fits) if not args.case or c[1] in args.case)
+    facts = collect_facts(chosen, lines, run, args.out)
+    rows = fit_rows(facts, kinds) if not args.case or "nothing" in args.case else []
     print(table(["what", "target", "measured"], [(r.what, r.target, r.measured) for r in rows]), end="\n\n")
     diagnoses = [c for c in facts if not c["group"].endswith(FIT)]
     if diagnoses:

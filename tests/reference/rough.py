@@ -116,7 +116,7 @@ def draw_background(
     waves = np.arange(1, 4)[:, None]
     cooling = np.empty((wires, cells))
     for k in range(wires):
-        phase, size = rng.uniform(0.0, 2.0 * math.pi, (3, 1)), rng.uniform(0.01, 0.02, (3, 1))
+        phase, size = rng.uniform(0.0, 2.0 * math.pi, (3, 1)), rng.uniform(0.005, 0.015, (3, 1))
         wave = np.sum(size * np.sin(math.pi * waves * middle + phase), axis=0)
         cooling[k] = 1.0 + wave - np.sum(lengths * wave)
     return Background(
@@ -139,7 +139,7 @@ def smooth_background(wires: int = 1, cells: int = 1, grains: int = 1, branch: f
 
 
 def simulate(
-    rig: RigFile, background: Background, hidden: Hidden, time: Floats, current: Floats, substeps: int = 5
+    rig: RigFile, background: Background, hidden: Hidden, time: Floats, current: Floats, substeps: int | None = None
 ) -> RoughRun:
     """Run a rig.
 
@@ -151,7 +151,7 @@ def simulate(
             stresses that moves it.
         time: Times, s, shape ``(n,)``.
         current: Currents, A, shape ``(n,)``, or ``(n, 2)`` for two wires.
-        substeps: Number of fine steps between two samples.
+        substeps: Number of fine steps between two samples; by default 5, and 10 with latent heat.
 
     Raises:
         ValueError: If the rig or a hidden effect is not one of those that this simulator knows.
@@ -164,6 +164,7 @@ def simulate(
         np.ascontiguousarray(np.reshape(current, (len(time), wires)), float),
     )
     constants = _constants(rig, background)
+    substeps = substeps or (10 if hidden.latent_heat else 5)
     load, fraction, stress = _load(rig)
     states = tuple(_start(rig, background, k, fraction, hidden) for k in (0, wires - 1))
     shape = (len(time), wires, len(background.lengths))

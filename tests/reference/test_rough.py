@@ -12,6 +12,7 @@ from tests.reference.make_data import shipped
 from tests.reference.rough import (
     ANGLE_ENCODER,
     ENCODER,
+    _constants,
     cell_lengths,
     draw_background,
     jittering_clock,
@@ -20,6 +21,7 @@ from tests.reference.rough import (
     slow_noise,
     smooth_background,
 )
+from tests.reference.rough_wire import transform
 
 WEIGHT = shipped("dead-weight")
 SPRING = replace(shipped("bias-spring"), control="current", interpolation="linear")
@@ -29,17 +31,17 @@ NOTHING = Hidden()
 WARM, FULL = 0.24, 0.36  # A: within the transformations of the shipped wire, and above them
 
 
-def levels(seconds: float = 24.0) -> tuple[np.ndarray, np.ndarray]:
+def levels(seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
     """Times and a current between cold, partly and fully transformed."""
     time = jittering_clock(np.random.default_rng(0), seconds)
-    marks = np.linspace(0.0, seconds, 9)
-    return time, np.interp(time, marks, [0.0, FULL, FULL, 0.1, 0.3, WARM, FULL, 0.05, 0.0])
+    marks = seconds * np.array([0.0, 0.08, 0.35, 0.36, 0.5, 0.52, 0.7, 0.72, 1.0])
+    return time, np.interp(time, marks, [0.0, FULL, FULL, 0.1, 0.1, 0.3, WARM, 0.1, 0.0])
 
 
-def pulls(seconds: float = 24.0) -> tuple[np.ndarray, np.ndarray]:
+def pulls(seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
     """Times and currents of two wires of 0.2 mm that take turns."""
     time = jittering_clock(np.random.default_rng(1), seconds)
-    first = time % 8.0 < 4.0
+    first = time % 6.0 < 3.0
     return time, np.column_stack([0.45 * first, 0.42 * ~first])
 
 
@@ -57,12 +59,13 @@ def rough(name: str, seed: int = 0):
 )
 def test_smaller_steps_change_less_than_the_noise(name, hidden):
     time, current = inputs(name)
-    coarse, fine, finest = (simulate(RIGS[name], rough(name), hidden, time, current, n).position for n in (5, 10, 40))
+    steps = (None, 10, 40) if hidden.latent_heat else (None, 10, 20)
+    usual, fine, finest = (simulate(RIGS[name], rough(name), hidden, time, current, n).position for n in steps)
     noise = (ANGLE_ENCODER if name == "pulley" else ENCODER).noise
-    errors = [float(np.sqrt(np.mean((run - finest) ** 2))) for run in (coarse, fine)]
-    assert errors[0] < 0.6 * noise
-    assert errors[1] < 0.75 * errors[0]
-    assert np.max(np.abs(coarse - finest)) < 4.0 * noise
+    errors = [float(np.sqrt(np.mean((run - finest) ** 2))) for run in (usual, fine)]
+    assert errors[0] < 0.5 * noise
+    assert errors[1] < 0.75 * errors[0] or hidden.latent_heat
+    assert np.max(np.abs(usual - finest)) < 3.0 * noise
 
 
 def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
@@ -76,10 +79,10 @@ def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
 def test_smaller_cells_change_less_than_the_noise(rig):
     time, current = levels()
     runs = []
-    for cells in (44, 132):
+    for cells in (44, 88):
         even = rough("weight")._replace(lengths=cell_lengths(cells), cooling=np.ones((1, cells)))
-        runs.append(simulate(rig, even, NOTHING, time, current).position)
-    assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) < 0.5 * ENCODER.noise
+        runs.append(simulate(rig, even, NOTHING, time, current, 20).position)
+    assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) < 0.8 * ENCODER.noise
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -115,19 +118,28 @@ def test_a_closed_cycle_gives_off_the_heat_that_it_takes_up():
         assert given == pytest.approx(taken, rel=1e-3)
 
 
-def test_minor_loops_close():
-    time = np.arange(4001) / 50.0
-    current = np.where(time < 10.0, FULL * np.sin(np.pi * time / 10.0), 0.235 + 0.035 * np.sin(np.pi * time / 5.0))
-    grains = draw_background(np.random.default_rng(2), spread=(4.0, 4.0))._replace(clamp_capacity=0.02, branch=0.3)
-    one = smooth_background(cells=44)._replace(branch=1.3)
+@pytest.mark.parametrize("branch", [0.1, 0.6])
+def test_minor_loops_of_grains_close(branch):
+    """What 20 equal loops between two temperatures change at their hot ends, against one grain of the same wire with wide branches."""
+    grains = draw_background(np.random.default_rng(2), spread=(4.0, 4.0))._replace(branch=branch)
     creeps = []
-    for background in (grains, one):
-        at = simulate(WEIGHT, background, NOTHING, time, current).position[1500::500]
-        inner = simulate(WEIGHT, background, NOTHING, time, current).position[1000:]
-        assert np.ptp(inner) > 1e-3
-        creeps.append(np.max(np.abs(np.diff(at))))
-    assert creeps[0] < ENCODER.noise
-    assert creeps[0] < creeps[1]
+    for background in (grains, smooth_background()):
+        constants = _constants(WEIGHT, background)
+        count = len(background.austenite)
+        d, w, d1, w1 = np.ones(count), np.zeros(count), np.empty(count), np.empty(count)
+        ends = []
+        for _ in range(20):
+            for start, end in ((57.5, 88.5), (88.5, 57.5)):
+                path = np.linspace(start, end, 60)
+                for before, after in zip(path[:-1], path[1:], strict=True):
+                    xi = transform(constants, d, w, d1, w1, before, 111e6, after, 111e6)[1]
+                    d[:], w[:] = d1, w1
+                ends.append(xi)
+        hot, cold = np.array(ends[::2]), np.array(ends[1::2])
+        assert 0.15 < hot[-1] < cold[-1] < 0.95 or count == 1
+        creeps.append(np.abs(np.diff(hot)))
+    assert creeps[0][-1] < 0.02 * branch
+    assert np.sum(creeps[0]) < np.sum(creeps[1])
 
 
 def one_cell(rig, time, current):
@@ -236,9 +248,11 @@ def test_friction_holds_the_stress_between_its_limits():
     time, current = levels()
     run = simulate(WEIGHT, rough("weight"), Hidden(friction=3e7), time, current)
     load = WEIGHT.mechanism["mass"] * 9.81 / (0.25 * math.pi * WEIGHT.wire.diameter**2)
-    speed = np.gradient(run.position, time)
-    np.testing.assert_allclose(run.stress[speed > 2e-4, 0], load + 3e7)
-    np.testing.assert_allclose(run.stress[speed < -2e-4, 0], load - 3e7)
+    steps = np.diff(run.position)
+    for sign in (1.0, -1.0):  # between two samples of motion
+        moves = np.flatnonzero((sign * steps[:-1] > 1e-6) & (sign * steps[1:] > 1e-6)) + 1
+        assert len(moves) > 25
+        np.testing.assert_allclose(run.stress[moves, 0], load + sign * 3e7)
     assert np.all(np.abs(run.stress[:, 0] - load) <= 3e7 + 1.0)
     assert np.count_nonzero(np.diff(run.position) == 0.0) > 50
 
@@ -292,10 +306,10 @@ def test_a_seed_gives_the_same_rig_and_recording():
 def test_a_background_is_what_it_says():
     background = draw_background(np.random.default_rng(5), 2)
     assert len(background.lengths) == 44 and np.sum(background.lengths) == pytest.approx(1.0)
-    assert background.lengths[0] < 0.2 / 44 and background.lengths[22] > 1.5 / 44
+    assert background.lengths[0] < 0.15 / 44 and background.lengths[22] > 1.5 / 44
     assert background.cooling.shape == (2, 44) and background.austenite.shape == background.martensite.shape == (12,)
     np.testing.assert_allclose(background.cooling @ background.lengths, 1.0)
-    assert 0.003 < np.std(background.cooling) < 0.05
+    assert 0.003 < np.std(background.cooling) < 0.04
     assert not np.array_equal(background.austenite, background.martensite)
 
 
