@@ -188,7 +188,8 @@ def draw_current(rng: np.random.Generator, rig: RigFile, seconds: np.ndarray) ->
     load = GRAVITY * of["mass"] if rig.kind == "dead-weight" else of["preload"]
     highest = load / section + of.get("stiffness", 0.0) * 0.04 * rig.wire.length / section
     full = holding_current(rig, material.austenite_finish + highest / material.clausius_clapeyron_austenite + 10.0)
-    levels = full * draw_levels(rng, seconds, slow)
+    spans = (1.0, 3.0) if rig.kind == "bias-spring" else (1.5, 4.5)
+    levels = full * draw_levels(rng, seconds, (spans[0] * slow, spans[1] * slow))
     phase = (seconds - seconds[0]) / (rng.uniform(5.0, 9.0) * slow)
     wave = full * (
         rng.uniform(0.7, 0.8) + rng.uniform(0.25, 0.35) * np.exp(-phase / 12.0) * np.sin(2.0 * np.pi * phase)
@@ -198,14 +199,14 @@ def draw_current(rng: np.random.Generator, rig: RigFile, seconds: np.ndarray) ->
     return np.where(waves, wave, levels).round(4)
 
 
-def draw_levels(rng: np.random.Generator, seconds: np.ndarray, slow: float) -> np.ndarray:
+def draw_levels(rng: np.random.Generator, seconds: np.ndarray, spans: tuple[float, float]) -> np.ndarray:
     """Return levels, shape ``(n,)``, in turn low and high.
 
-    Each lasts 1.5 to 4.5 time constants ``slow`` (s), and is reached by a step or a ramp.
+    Each lasts for a time within ``spans`` (s), and is reached by a step or a ramp.
     """
     signal, now, before, is_high = np.zeros(len(seconds)), 0.0, 0.0, True
     while now <= seconds[-1]:
-        span = rng.uniform(1.5, 4.5) * slow
+        span = rng.uniform(*spans)
         level = rng.uniform(0.75, 1.1) if is_high else rng.uniform(0.1, 0.6)
         rise = span * rng.uniform(0.3, 0.9) if rng.random() < 0.4 else 1e-9
         inside = (seconds >= now) & (seconds < now + span)
