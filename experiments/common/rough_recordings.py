@@ -148,11 +148,12 @@ def rig_text(rng: np.random.Generator, kind: str, lines: Mapping[str, Sequence[s
     if kind == "dead weight":
         values |= {"length": f"{length:.0f} mm", "mass": f"{stress * section / GRAVITY:.4f} kg"}
     elif kind == "spring":
+        length *= 0.75  # so that the one-cell fit leaves about as many times the noise as under a dead weight
         stiffness = rise * section / (0.04 * length)
         values |= {"length": f"{length:.0f} mm", "preload": f"{stress * section:.4f} N"}
         values |= {"stiffness": f"{stiffness:.5f} N/mm", "interpolation": "linear"}
     else:
-        values |= {"length": f"{1.6 * length:.0f} mm", "radius": f"{rng.uniform(15.0, 25.0):.1f} mm"}
+        values |= {"length": f"{1.75 * length:.0f} mm", "radius": f"{rng.uniform(15.0, 25.0):.1f} mm"}
     text = (ROOT / "data" / "recordings" / KINDS[kind] / "rig.toml").read_text("utf-8")
     for key, value in values.items():
         text, times = re.subn(rf'^{key} = ".*?"', f'{key} = "{value}"', text, flags=re.MULTILINE)
@@ -188,8 +189,7 @@ def draw_current(rng: np.random.Generator, rig: RigFile, seconds: np.ndarray) ->
     load = GRAVITY * of["mass"] if rig.kind == "dead-weight" else of["preload"]
     highest = load / section + of.get("stiffness", 0.0) * 0.04 * rig.wire.length / section
     full = holding_current(rig, material.austenite_finish + highest / material.clausius_clapeyron_austenite + 10.0)
-    spans = (1.0, 3.0) if rig.kind == "bias-spring" else (1.5, 4.5)
-    levels = full * draw_levels(rng, seconds, (spans[0] * slow, spans[1] * slow))
+    levels = full * draw_levels(rng, seconds, (1.5 * slow, 4.5 * slow))
     phase = (seconds - seconds[0]) / (rng.uniform(5.0, 9.0) * slow)
     wave = full * (
         rng.uniform(0.7, 0.8) + rng.uniform(0.25, 0.35) * np.exp(-phase / 12.0) * np.sin(2.0 * np.pi * phase)
