@@ -96,6 +96,7 @@ def cost(rig: Any, recording: Any, quick: bool) -> Row:
         say(f"cost of {structure[0]} cells of {structure[1]} grains ...")
         plant = with_structure(rig.plant, *structure)
         inputs = discretise(plant, recording, interpolation=rig.interpolation)
+
         def response(values: jax.Array, plant: Plant = plant, inputs: Inputs = inputs) -> jax.Array:
             changed = parameters.replace(plant, dict(zip(rig.fit.names, values, strict=True)))
             return simulate_channels(changed, inputs, ("displacement",))[0]["displacement"]

@@ -166,8 +166,8 @@ class Cells(CheckedModule):
         """
         place = jnp.minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
         middles = self._middles(boundaries)
-        passed = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
-        return temperature[0] + passed @ jnp.diff(temperature, axis=0)
+        reached = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
+        return temperature[0] + reached @ jnp.diff(temperature, axis=0)
 
     def _middles(self, boundaries: jax.Array) -> jax.Array:
         """Distances of the middles of the cells from the clamp; that of an odd number of cells is at half the wire."""
