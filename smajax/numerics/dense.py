@@ -69,6 +69,7 @@ def combine(columns: Float[Array, "*shape n"], weights: Float[Array, " n"]) -> F
         weights: Their weights.
     """
     if weights.shape[0] > _UNROLLED:
-        return columns @ weights
+        # Not a product of matrices: a batch of them would be left to a library, which no kernel may call.
+        return jnp.sum(columns * weights.reshape((1,) * (columns.ndim - 1) + weights.shape), axis=-1)
     total: Any = sum(columns[..., i] * weights[i] for i in range(weights.shape[0]))
     return total

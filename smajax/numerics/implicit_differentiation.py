@@ -75,7 +75,7 @@ def implicit_jvp_with(
         The tangent of the flat state.
     """
     residual = jvp(lambda *primals: step_residual(end, *primals)[0], primals, tangents)
-    change = -(inverse(jacobian) @ residual)
+    change = -combine(inverse(jacobian), residual)
     return jvp(lambda *arguments: step_residual(*arguments)[1], (end, *primals), (change, *tangents))
 
 
