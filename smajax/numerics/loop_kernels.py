@@ -184,7 +184,7 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
 
     def call(function: Any, value: Any, **attributes: str) -> list[Any]:
         made = func.CallOp(types, ir.FlatSymbolRefAttr.get(function.name.value), [value])
-        texts = {key: ir.StringAttr.get(text) for key, text in attributes.items()}
+        texts: dict[str, Any] = {key: ir.StringAttr.get(text) for key, text in attributes.items()}
         made.operation.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(texts)
         return list(made.results)
 
