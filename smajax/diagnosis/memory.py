@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from smajax.fitting.memory import free_memory, require_memory
+from smajax.fitting.memory import added_states, free_memory, require_memory
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import count_steps
@@ -14,6 +14,8 @@ _PROGRAMS = 1_250_000_000
 # two searches at a time, and the Jacobians of all candidates. Above the
 # peak with 20,000 rows of one step each.
 _PER_STEP = 16_000
+# Bytes of a number of cells and grains in the trajectory of each of the two searches, with a copy of each.
+_NUMBER = 4 * 8
 _REMEDY = "cut the recordings into parts, or sample them more coarsely"
 
 
@@ -32,7 +34,7 @@ def diagnosis_memory(
         The steps of a simulation of the longest recording, and the memory in bytes.
     """
     steps = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
-    return steps, float(_PROGRAMS + plant.mechanism.wires * _PER_STEP * steps)
+    return steps, float(_PROGRAMS + (plant.mechanism.wires * _PER_STEP + _NUMBER * added_states(plant)) * steps)
 
 
 def require_diagnosis_memory(

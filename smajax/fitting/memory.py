@@ -30,6 +30,8 @@ _PER_STEP = 21
 # Numbers for each step and wire of each start: the trajectory; there are as many again as free parameters, for the
 # tangents. From the same rows with 4 starts.
 _PER_SEARCHED_STEP = 8
+# Copies of the states of cells and grains in a trajectory, while blocks of steps are joined; counted in the program.
+_STATE_COPIES = 2
 # Residuals and Jacobians of each start: before and after a step, at the trial, and while they are copied. From
 # 50,000 rows with 4 starts and with 1.
 _COPIES = 5
@@ -121,19 +123,30 @@ def fit_memory(
     values = sum(len(r) * (1 + len(r.channels) + len(plant.observable)) for r in (*recordings, *holdout))
     own = len(recordings) * len({*settings.per_recording, *(f"initial.{name}" for name in settings.initial)})
     unknowns = len({*settings.free} - {*settings.per_recording}) + own
-    wires = plant.mechanism.wires
+    wires, added = plant.mechanism.wires, _STATE_COPIES * added_states(plant)
     # All responses are simulated at once, on grids of one length.
     responses = max(steps, len(counts) * max(counts))
     return FitMemory(
         steps=steps,
-        evaluation=_NUMBER * wires * (_PER_SEARCHED_STEP + unknowns) * steps,
+        evaluation=_NUMBER * (wires * (_PER_SEARCHED_STEP + unknowns) + added) * steps,
         ends=_NUMBER * _COPIES * (unknowns + 1) * samples,
         others=_PROGRAMS
         + (wires - 1) * _PROGRAMS_PER_WIRE
-        + _NUMBER * (_PER_VALUE * values + wires * _PER_STEP * responses),
+        + _NUMBER * (_PER_VALUE * values + (wires * _PER_STEP + added) * responses),
         screened=_NUMBER * wires * _PER_SCREENED_STEP * steps,
         starts=settings.starts,
     )
+
+
+def added_states(plant: Plant) -> int:
+    """Count the numbers by which cells and grains make a state larger.
+
+    Args:
+        plant: The plant.
+    """
+    grains = 1 if plant.grains is None else plant.grains.count
+    clamps = 0 if plant.cells is None else plant.mechanism.wires
+    return plant.temperatures * (1 + 2 * grains) + clamps - 3 * plant.mechanism.wires
 
 
 def search_in_parts(memory: FitMemory, name: str, free: float | None = None) -> tuple[bool, int]:
