@@ -6,6 +6,7 @@ No transformation, noisy inputs, stresses beyond the law's range, and a holdout 
 from collections.abc import Sequence
 
 from smajax.fitting.input_noise import input_noise_warnings
+from smajax.fitting.partial_loops import spread_warnings
 from smajax.fitting.result import FitResult
 from smajax.fitting.unknowns import Settings
 from smajax.plant.materials.dissipation import check_dissipation
@@ -27,9 +28,12 @@ def fit_warnings(result: FitResult, plant: Plant, recordings: Sequence[Recording
         Sentences; none where there is nothing to warn of.
     """
     holdout = [response.recording for response in result.responses if response.role == "holdout"]
+    train = [response.model for response in result.responses if response.role == "train"]
+    strains = [values for model in train for name, values in model.items() if name.partition("_")[0] == "strain"]
     return [
         *copied_holdout_warnings(recordings, holdout),
         *input_noise_warnings(result, plant, recordings, settings),
+        *spread_warnings(strains, settings.free),
         *check_dissipation(result.plant, [{**r.recording.channels, **r.model} for r in result.responses]),
     ]
 
