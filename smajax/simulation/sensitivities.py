@@ -19,7 +19,6 @@ from jaxtyping import Array, Float, Int
 
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import implicit_jvp, implicit_jvp_with, jvp
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.simulation.compilation import (
     BLOCK,
@@ -103,7 +102,6 @@ def _outputs_along_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
     return _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
 
 
-@jit_with_kernels
 def _forward_sensitivities(
     trajectory: Trajectory,
     output_fn: OutputFunction,

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.simulation.compilation import BLOCK, block_count, in_blocks, traced_step
@@ -22,7 +21,6 @@ from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 OutputFunction = Callable[[Plant, State, jax.Array], Any]
 
 
-@jit_with_kernels
 def integrate(
     plant: Plant, inputs: Inputs, output_fn: OutputFunction, end_index: Any = None
 ) -> tuple[Any, Int[Array, ""]]:

@@ -225,7 +225,6 @@ def simulate_loop(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Sce
     return rollout_with_solutions(system, loop, scenario)[0]
 
 
-@jit_with_kernels
 def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[Rollout, Any]:
     """Simulate a closed loop, and store the states and step solutions that its derivative needs.
 
