@@ -15,8 +15,8 @@ starts detwinned. Of supply, resistance and heat capacity, which scale the same 
 
 All logs are fitted together. The wires are of one make and in one arm, so their alloy, their heat and the silicone
 around them are alike: each wire's parameters scatter about shared ones by a fifth of what data sheets leave open
-(``arm_fit.SPREAD``). One pulse leaves many directions undetermined, in which the other wires then help. Of its own each
-log has its temperatures, the lag of its thermocouple, its lever and where the arm begins. Fits end in different
+(``arm_fit.SPREAD``). One pulse leaves many directions undetermined, in which the other wires then help. Each
+log has its own temperatures, lag of its thermocouple, lever and place where the arm begins. Fits end in different
 places, so they start from several points, and again from points around the best one; the lowest cost counts.
 
 What the arm has (``EFFECTS``) was read off residuals of both pulses. ``--search`` tests each effect on first pulses

@@ -207,7 +207,7 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
 
 
 def _values_from_outside(loop: Any) -> list[Any]:
-    """The values that the operations inside a loop use and that are computed outside of it, besides its operands."""
+    """The values that the operations inside a loop use and that are computed outside of it, without its operands."""
     operations = _operations_inside(loop)
     blocks = [block for o in (loop, *operations) for region in o.regions for block in region.blocks]
     known = {*loop.operands}

@@ -1,7 +1,7 @@
 """Limits of a simulated state beyond which it describes no wire: melting, and strains that no alloy recovers.
 
-A search may pass such states. Whatever is reported checks them: a simulation that exceeds a limit is a failure with the
-code ``overheated`` or ``overstrained``, and its numbers from there on are left out.
+A search may pass such states. Everything that is reported is checked: a simulation that exceeds a limit is a failure
+with the code ``overheated`` or ``overstrained``, and its numbers from there on are left out.
 """
 
 import jax

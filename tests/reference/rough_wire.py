@@ -7,7 +7,7 @@ d = sigma - C_M max(T - M_s, 0) and the remaining shares F(u) = 1 / (1 + exp(u))
     detwinning  d rising:   1 - detwinned, twinned, 1 - xi   multiply by F((d1 - D) / w_D) / F((d0 - D) / w_D)
     twinning    T falling:  1 - xi                           multiplies by F((M - T1) / w_M) / F((M - T0) / w_M)
 
-where A = (A_s + A_f) / 2, D is the middle of the critical stresses and M = (M_s + M_f) / 2. A grain has shifts of its own of A and of M_s
+where A = (A_s + A_f) / 2, D is the middle of the critical stresses and M = (M_s + M_f) / 2. Each grain has its shifts of A and of M_s
 (with M). A logistic of w = band / (2 pi) has the slope of the half cosine of the band in the middle; each grain has a share of that.
 A step in which d first rises and then falls, as T passes M_s, is taken as one leg: an error of second order in the step.
 

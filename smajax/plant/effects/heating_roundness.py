@@ -16,7 +16,7 @@ class HeatingRoundness(MaterialEffect):
     """Rate of the reverse transformation in proportion to xi^(1 + s) instead of xi, with xi the remaining martensite.
 
     With s > 0 heating ends more gradually, with s < 0 more suddenly; cooling is that of the material law. Laws with
-    smooth hardening have exponents of their own for both directions likewise.
+    smooth hardening likewise have separate exponents for the two directions.
     """
 
     strength: jax.Array = parameter("1", "additional exponent of the remaining martensite on heating", -0.8, 2.0, 0.0)
