@@ -22,11 +22,6 @@ STUDIES = {
         "diagnosis.json",
         "sma.diagnose({0!r}, {1!r}, select={3!r}, holdout={5!r})",
     ),
-    "compare": (
-        [*FIT, "--holdout", BENCH / "holdout.csv", "--models", "brinson,bouc-wen"],
-        "compare.json",
-        "sma.compare({0!r}, {1!r}, holdout={3!r}, models=['brinson', 'bouc-wen'])",
-    ),
     "simulate": (FIT, "simulation.csv", "sma.predict({0!r}, {1!r})"),
 }
 PROGRAM = """
