@@ -1,8 +1,9 @@
 """Compiler options of JAX for a process, and the choice of the CPU for single simulations.
 
 Importing smajax sets none of these: the command line, the tests and the experiments call
-``smajax.numerics.process.prepare_jax``, which sets the options. They serve the speed of compilation and change no
-digit: what would, that a loop is one machine function, belongs to the programs (``smajax.numerics.loop_kernels``).
+``smajax.numerics.process.prepare_jax``, which sets the options. They serve the speed of compilation. What changes the
+digits of a plant's programs, that a loop is one machine function, belongs to the programs
+(``smajax.numerics.loop_kernels``); outside of such loops the options may change the rounding of input-output models.
 """
 
 import contextlib
