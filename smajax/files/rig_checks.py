@@ -9,6 +9,7 @@ from smajax.errors import InputError
 from smajax.files.parameter_names import owners
 from smajax.files.rig_kinds import Stages, rig_phrase
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE, FitSection, RigSection
+from smajax.files.rig_structure import STRUCTURE_KEYS
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
 from smajax.plant.coil import Coil
@@ -98,7 +99,8 @@ def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str,
     homes = [home for home, part, _ in owners() if home in stages.parts and key in declarations(part)]
     if homes:
         return f"{section}.{key} is not known (did you mean '{homes[0]}.{key}'?): write it under [{homes[0]}]"
-    return f"{section}.{key} is not known{advice(key, stages.keys(section), f'the keys of [{section}] are')}"
+    keys = [*stages.keys(section), *STRUCTURE_KEYS.get(section, ())]
+    return f"{section}.{key} is not known{advice(key, keys, f'the keys of [{section}] are')}"
 
 
 def require_values(names: Iterable[str], values: Mapping[str, Any], stages: Stages) -> None:

@@ -12,6 +12,10 @@ _MAX_CELLS = 101
 _MAX_GRAINS = 64
 
 
+# Keys of sections that are not parameters.
+STRUCTURE_KEYS = {"wire": ("cells",), "material": ("grains",)}
+
+
 class WireStructure(BaseModel):
     """The key of ``[wire]`` that is not a parameter."""
 

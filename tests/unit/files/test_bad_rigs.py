@@ -20,13 +20,13 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "section misspelt, nothing near": (
         DEAD,
         {"[load]": "[motor]"},
-        "[motor] is not a section of a rig: the sections are rig, wire, environment, initial, drive, heat, material, load, spring, pulley, "
-        "link, limb, transmission, sheath, effects, sensor, channels, recording, fit",
+        "[motor] is not a section of a rig: the sections are rig, wire, environment, initial, drive, heat, material, cells, grains, load, "
+        "spring, pulley, link, limb, transmission, sheath, effects, sensor, channels, recording, fit",
     ),
     "key misspelt": (
         DEAD,
         {"diameter =": "diametre ="},
-        "wire.diametre is not known (did you mean 'diameter'?): the keys of [wire] are diameter, length, prestrain",
+        "wire.diametre is not known (did you mean 'diameter'?): the keys of [wire] are diameter, length, prestrain, cells",
     ),
     "key misspelt among many": (
         DEAD,

@@ -94,7 +94,7 @@ class TestTemplates:
             optional = bare.split(" = ")[0] if " = " in bare else bare
             is_accepted = (
                 line != bare
-                and (optional.isidentifier() or bare.startswith(("[channels]", "[recording]")))
+                and (optional.isidentifier() or bare.startswith(("[channels]", "[effects.", "[recording]")))
                 and optional != "parameters"
             )
             uncommented.append(bare if is_accepted and optional != "decimal" else line)
