@@ -183,7 +183,7 @@ simulate: Callable[[jax.Array, SlottedModel], Simulated] = jit_with_kernels(
 
 
 # The program that checks what is reported.
-statuses: Callable[[jax.Array, SlottedModel, Trajectory], Int[Array, " r"]] = eqx.filter_jit(
+statuses: Callable[[jax.Array, SlottedModel, Trajectory], Int[Array, " r"]] = jit_with_kernels(
     lambda vector, model, trajectories: model.statuses(vector, trajectories)
 )
 
