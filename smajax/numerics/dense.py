@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Number of equations up to which elimination by scalars compiles fast; chosen by trial.
-_UNROLLED = 4
+# Number of equations up to which elimination by scalars compiles fast: that of a plant without cells.
+_UNROLLED = 5
 
 
 def solve_dense(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:

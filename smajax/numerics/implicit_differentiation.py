@@ -75,7 +75,8 @@ def implicit_jvp_with(
         The tangent of the flat state.
     """
     residual = jvp(lambda *primals: step_residual(end, *primals)[0], primals, tangents)
-    change = -combine(inverse(jacobian), residual)
+    # Not a product of matrices: a batch of them would be left to a library, which no kernel may call.
+    change = -jnp.sum(inverse(jacobian) * residual[None], axis=1)
     return jvp(lambda *arguments: step_residual(*arguments)[1], (end, *primals), (change, *tangents))
 
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.numerics.nonsmooth import clip
+from smajax.numerics.nonsmooth import clip, minimum
 from smajax.parameters import CheckedModule, parameter
 from smajax.plant.effects.memory import first_order_lag
 from smajax.plant.heat import AbstractHeat
@@ -63,7 +63,7 @@ class Cells(CheckedModule):
         Args:
             wire: The wire.
             heat: The heat stage; its conductance at ambient temperature gives the fin length.
-            environment: Surroundings of the wire.
+            environment: Surroundings of the wire; the cells do not follow a recorded ambient temperature.
 
         Returns:
             Distances from the clamp in m, shape ``(simulated + 1,)``. With an odd number of cells the last one is half
@@ -74,16 +74,6 @@ class Cells(CheckedModule):
         # In an odd number of cells the middle one counts half.
         place = jnp.minimum(jnp.arange(self.simulated + 1) / (0.5 * self.count), 1.0)
         return half * jnp.sinh(place * jnp.arcsinh(ratio)) / ratio
-
-    def shares(self, wire: AbstractWire, heat: AbstractHeat, environment: Environment) -> Float[Array, " cells"]:
-        """Compute the shares of the simulated cells in the length of the wire, which add up to 1.
-
-        Args:
-            wire: The wire.
-            heat: The heat stage.
-            environment: Surroundings of the wire.
-        """
-        return jnp.diff(self.boundaries(wire, heat, environment)) / (0.5 * wire.length_between_clamps)
 
     def convection_factors(self, boundaries: Float[Array, " ends"]) -> Float[Array, " cells"]:
         """Compute the convection coefficient of each cell over that of h(T): 1 + u cos(2 pi x / L), averaged over it.
@@ -98,30 +88,31 @@ class Cells(CheckedModule):
         self,
         temperature: Float[Array, "cells wires"],
         clamp: Float[Array, " wires"],
+        boundaries: Float[Array, " ends"],
         wire: AbstractWire,
         heat: AbstractHeat,
-        environment: Environment,
+        ambient: Float[Array, ""],
     ) -> Float[Array, "cells wires"]:
         """Compute the heat that conduction brings into each cell, and the difference of its convection from the mean.
 
         Args:
             temperature: Temperatures of the cells, degC.
             clamp: Temperature of the clamps, degC.
+            boundaries: Boundaries of the cells, m.
             wire: The wire.
             heat: The heat stage.
-            environment: Surroundings of the wire.
+            ambient: Temperature of the surroundings, degC.
 
         Returns:
             Heat per volume, W/m^3.
         """
-        boundaries = self.boundaries(wire, heat, environment)
         length = jnp.diff(boundaries)
         distance = jnp.diff(self._middles(boundaries), prepend=0.0)
         rise = jnp.diff(temperature, axis=0, prepend=clamp[None])
         flow = self.conductivity * rise / distance[:, None]  # towards the clamp, W/m^2
         inflow = jnp.concatenate([flow[1:], jnp.zeros_like(flow[:1])]) - flow
         uneven = (self.convection_factors(boundaries) - 1.0)[:, None] * heat.conductance(temperature, wire)
-        return inflow / length[:, None] - uneven * (temperature - environment.ambient)
+        return inflow / length[:, None] - uneven * (temperature - ambient)
 
     def clamp_temperature(
         self,
@@ -129,9 +120,8 @@ class Cells(CheckedModule):
         ends: tuple[Any, Any],
         ambient: tuple[Any, Any],
         step: Float[Array, ""],
+        boundaries: Float[Array, " ends"],
         wire: AbstractWire,
-        heat: AbstractHeat,
-        environment: Environment,
     ) -> Float[Array, " wires"]:
         """Compute the temperature of the clamps after a step in which their surroundings change linearly.
 
@@ -140,15 +130,13 @@ class Cells(CheckedModule):
             ends: Temperatures of the cells next to them, at start and end, degC.
             ambient: Temperature of the surroundings at start and end, degC.
             step: Duration, s.
+            boundaries: Boundaries of the cells, m.
             wire: The wire.
-            heat: The heat stage.
-            environment: Surroundings of the wire.
 
         Returns:
             Temperature of the clamps at the end, degC.
         """
-        distance = 0.5 * self.boundaries(wire, heat, environment)[1]
-        conductance = self.conductivity * jnp.pi / 4 * wire.diameter**2 / distance
+        conductance = self.conductivity * jnp.pi / 4 * wire.diameter**2 / (0.5 * boundaries[1])
         total = conductance + self.clamp_conductance
         first, last = (
             (conductance * end + self.clamp_conductance * at) / total for end, at in zip(ends, ambient, strict=True)
@@ -164,10 +152,10 @@ class Cells(CheckedModule):
             temperature: Temperatures of the cells, degC.
             boundaries: Boundaries of the cells, m.
         """
-        place = jnp.minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
+        place = minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
         middles = self._middles(boundaries)
-        reached = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
-        return temperature[0] + reached @ jnp.diff(temperature, axis=0)
+        weights = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
+        return temperature[0] + weights @ jnp.diff(temperature, axis=0)
 
     def _middles(self, boundaries: jax.Array) -> jax.Array:
         """Distances of the middles of the cells from the clamp; that of an odd number of cells is at half the wire."""

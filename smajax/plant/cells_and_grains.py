@@ -12,7 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smajax.plant.cells import Cells
 from smajax.plant.effects.base import AbstractEffect, HeatEffect, MaterialEffect, StageContext, WireState
@@ -55,16 +55,17 @@ class CellsAndGrains(eqx.Module):
         return math.prod(self.temperature_shape)
 
     @property
-    def _always(self) -> Bool[Array, ""]:
-        """A condition that holds (``separately``): a parameter that is hardly ever fitted is within its bounds."""
-        return self.environment.gravity >= 0.0
+    def _cell_boundaries(self) -> Float[Array, " ends"]:
+        """Boundaries of the simulated cells, m; only with cells."""
+        assert self.cells is not None
+        return self.cells.boundaries(self.wire, self.heat, self.environment)
 
     def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
         """The mean of a quantity of the cells over the length of each wire."""
         if self.cells is None:
             return values
-        shares = self.cells.shares(self.wire, self.heat, self.environment)
-        return shares @ values
+        boundaries = self._cell_boundaries
+        return (jnp.diff(boundaries) / boundaries[-1]) @ values
 
     def _per_cell(self, values: Float[Array, " wires"]) -> Float[Array, "*cells wires"]:
         """A quantity that is equal along each wire, for all its cells."""
@@ -97,26 +98,6 @@ class CellsAndGrains(eqx.Module):
             jnp.asarray(grains.quantiles), values
         )
 
-    def _evolve(
-        self, material: AbstractMaterial, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]
-    ) -> Fractions:
-        """The fractions of all grains after a step of the material law."""
-        if self.grains is None:
-            return material.evolve(fractions, temperature, stress)
-        # One axis for grains, cells and wires, since the compiler makes a loop over each axis.
-        grains, shape = self.grains, fractions.detwinned.shape
-
-        def one(values: Float[Array, "..."]) -> Float[Array, " elements"]:
-            axes = (1,) * (len(shape) - values.ndim)
-            return jnp.broadcast_to(values.reshape(axes + values.shape), shape).ravel()
-
-        quantiles = one(jnp.asarray(grains.quantiles).reshape(-1, *(1,) * (len(shape) - 1)))
-        elements = [Fractions(*map(one, fractions)), *(tuple(map(one, pair)) for pair in (temperature, stress))]
-        evolved = jax.vmap(lambda quantile, *values: grains.material_of(material, quantile).evolve(*values))(
-            quantiles, *elements
-        )
-        return Fractions(*(part.reshape(shape) for part in evolved))
-
     def _each_cell(self, hook: Callable[..., Any], *arguments: Any) -> Any:
         """Call a hook of an effect on heat or material, for which each cell is a wire."""
         if self.cells is None:
@@ -143,7 +124,7 @@ class CellsAndGrains(eqx.Module):
             return {}
         ends = first.temperature[0], last.temperature[0]
         ambient: Any = tuple(self.environment.ambient if at.ambient is None else at.ambient for at in (first, last))
-        parts = self.wire, self.heat, self.environment
+        parts = self._cell_boundaries, self.wire
         return {CLAMP: self.cells.clamp_temperature(memory[CLAMP], ends, ambient, step, *parts)}
 
 

@@ -183,8 +183,7 @@ class Plant(StepSolver):
         """The temperatures of the wires where their thermocouples are."""
         if self.cells is None:
             return temperature
-        boundaries = self.cells.boundaries(self.wire, self.heat, self.environment)
-        return self.cells.reading(temperature, boundaries)
+        return self.cells.reading(temperature, self._cell_boundaries)
 
     def read_sensors(
         self, series: dict[str, Float[Array, " samples"]], time: Float[Array, " samples"]

@@ -247,7 +247,7 @@ class PlantStages(CellsAndGrains):
             )
         temperatures = first.temperature - shift, temperature - shift
         stresses = self._per_cell(first.stress), self._per_cell(stress)
-        evolved = self._evolve(material, fractions, temperatures, stresses)
+        evolved = self._each_grain(lambda law, before: law.evolve(before, temperatures, stresses), material, fractions)
         for e in self._effects_of(MaterialEffect):
             modify = functools.partial(self._each_cell, e.modify_fractions)
             changed = (modify if self.grains is None else jax.vmap(modify))(fractions, evolved)
@@ -279,7 +279,7 @@ class PlantStages(CellsAndGrains):
             joule = self._per_cell(joule / mean) * resistivity  # one current through cells of different resistivity
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, context.environment)
         if self.cells is not None:
-            parts = self.wire, self.heat, context.environment
+            parts = self._cell_boundaries, self.wire, self.heat, context.environment.ambient
             rate = rate + self.cells.net_heat(wire_state.temperature, memory[CLAMP], *parts)
         return rate + sum(
             checked_result(

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.numerics.separate import separately
 from smajax.plant.effects.base import HeatEffect, MaterialEffect, MechanismEffect, WireState
 from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.heat import PrescribedTemperature
@@ -251,7 +250,7 @@ class StepEquations(PlantStages):
             has_unknown = self.mechanism.unknowns or self._has_drag
             return value, tangent(ones(temperature), zeros(stress)), tangent(*by_stress) if has_unknown else no_slope
 
-        value, by_temperature, by_stress = jax.lax.stop_gradient(separately(self._always, with_slopes, *at))
+        value, by_temperature, by_stress = jax.lax.stop_gradient(with_slopes(*at))
         moved = temperature - at[0], self._per_cell(stress - at[1])
         return Fractions(
             *(v + t * moved[0] + s * moved[1] for v, t, s in zip(value, by_temperature, by_stress, strict=True))

@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool, Float
 from smajax.numerics import newton
 from smajax.numerics.dense import combine, solve_dense
 from smajax.numerics.derivative_order import nondifferentiable
-from smajax.numerics.separate import separately
 from smajax.plant.effects.base import MechanismEffect
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.state import State
@@ -72,7 +71,7 @@ class StepSolver(StepEquations):
             )
         if self.cells is not None:
             end = end + newton.newton_step(lambda z: StepSolver._residual(*constants, z, local=True)[0], end)[2]
-            return separately(self._always, lambda z: StepSolver._residual(*constants, z)[1], end), failed
+            return StepSolver._residual(*constants, end)[1], failed
         (residual, state_at_end), jacobian_product = jax.linearize(lambda z: StepSolver._residual(*constants, z), end)
         return newton_corrected(state_at_end, residual, jacobian_product), failed
 

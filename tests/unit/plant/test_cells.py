@@ -54,8 +54,8 @@ def states_under(plant: Plant, current: np.ndarray, time: np.ndarray) -> State:
 def layout(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the cells in the length, and their boundaries in m."""
     assert plant.cells is not None
-    parts = plant.wire, plant.heat, plant.environment
-    return np.asarray(plant.cells.shares(*parts)), np.asarray(plant.cells.boundaries(*parts))
+    ends = np.asarray(plant.cells.boundaries(plant.wire, plant.heat, plant.environment))
+    return np.diff(ends) / ends[-1], ends
 
 
 def exact_profile(plant: Plant, place: np.ndarray) -> np.ndarray:
@@ -186,6 +186,21 @@ def test_a_thermocouple_reads_its_place():
         exact = exact_profile(plant, np.array([min(place, 1.0 - place) * 0.23]))[0]
         assert abs(float(reading) - exact) < 0.02 * (exact - AMBIENT)
     assert readings[0] == pytest.approx(readings[1]) and readings[1] < readings[2] < readings[3]
+
+
+def test_heat_is_conserved_under_a_recorded_ambient_temperature():
+    """In a steady state at another ambient temperature than the rig's, the clamps get what the wire does not lose."""
+    plant = with_structure(plants.dead_weight(**COLD), 9, clamp_conductance=1e3)
+    time, recorded = np.arange(0.0, 120.0, 0.5), 90.0
+    channels = {"current": np.full(240, CURRENT), "displacement": 0.0 * time, "ambient": np.full(240, recorded)}
+    states, _ = simulate_states(plant, discretise(plant, plants.recording(channels, time)))
+    shares, ends = layout(plant)
+    last = np.asarray(states.temperature)[-1, :, 0]
+    joule = float(plant.material.resistivity_martensite) * (CURRENT / float(plant.wire.area)) ** 2
+    convection = np.asarray(plant.heat.convection(jnp.asarray(last)))
+    received = shares @ (joule - 4.0 / float(plant.wire.diameter) * convection * (last - recorded))
+    clamp = float(np.asarray(states.memory["clamp"])[-1, 0])
+    assert received == pytest.approx(18.0 * (last[0] - clamp) / (0.5 * ends[1]) / ends[-1], rel=1e-6)
 
 
 def test_uneven_convection_keeps_its_mean_and_cools_the_ends_more():
