@@ -135,7 +135,7 @@ def import_recording(
         channels: What columns are, by header: ``{"Force sensor": "force [N] factor=-0.0087 offset=7.5"}``, or ``"-"``
             for one to leave out; the others are recognised.
         rig: Kind of the rig; by default that which the channels suggest, and ``"none"`` for no rig.
-        values: Values of the rig that no recording says, by name: ``{"wire.diameter": "0.5 mm"}``.
+        values: Values of the rig that no recording gives, by name: ``{"wire.diameter": "0.5 mm"}``.
         ask: Function that decides a doubt: it gets a ``Question`` and returns an answer, or ``None`` for its choice.
         **reading: Options of ``ReadOptions``, such as ``sample_period="20 ms"``, which stay as they are.
 
@@ -157,7 +157,7 @@ def import_recording(
 
 
 def _with_rig(result: RecordingImport, kind: str | None, values: dict[str, str], ask: Ask | None) -> RecordingImport:
-    """Return an import with a rig of a kind and with values, of which those that nobody gave are asked."""
+    """Return an import with a rig of a kind and with values, of which those that are not given are asked for."""
     name = result.recognition.path.stem + "-rig.toml"
 
     def draft(kind: str | None, values: Mapping[str, str]) -> RigDraft:
@@ -198,8 +198,8 @@ def _kind_question(draft: RigDraft, check: Callable[[str], object]) -> Question:
 
 
 def _value_question(assumption: Assumption, check: Callable[[str], object]) -> Question:
-    """Return the question for a value that no recording says."""
-    text = f"{assumption.meaning}, which no recording says"
+    """Return the question for a value that no recording gives."""
+    text = f"{assumption.meaning}, which no recording gives"
     option = f"--set '{assumption.name} = {assumption.value}'"
     return Question(assumption.name, text, assumption.value, is_column=False, option=option, check=check)
 

@@ -1,4 +1,4 @@
-"""Whether recordings have partial loops, without which the spread of grains cannot be told from their width."""
+"""Partial loops in recordings; without them the spread of grains and their width are not distinguishable."""
 
 from collections.abc import Sequence
 

@@ -55,7 +55,7 @@ def implicit_jvp(
     return state - combine(state_per_unknown, change)
 
 
-def implicit_jvp_with(
+def implicit_jvp_from_jacobian(
     jacobian: Float[Array, "unknowns unknowns"],
     step_residual: Callable[..., Any],
     end: Float[Array, " unknowns"],

@@ -170,7 +170,7 @@ def _is_available(operation: Any) -> bool:
 
 
 def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
-    """Move a loop into a kernel, and call that in its place."""
+    """Move a loop into a new function, a kernel, and replace the loop by a call of that function."""
     used = [*loop.operands, *_values_from_outside(loop)]
     results, types = list(loop.results), [result.type for result in loop.results]
     packed = ir.Type.parse(f"tuple<{', '.join(str(value.type) for value in used)}>")

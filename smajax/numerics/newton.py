@@ -1,4 +1,4 @@
-"""Newton's method for the equations of one time step, with at most five unknowns. The searches are not differentiable.
+"""Newton's method for the equations of one time step, with few unknowns. The searches are not differentiable.
 
 The first ``wires`` unknowns are temperatures in K, the others stresses in Pa; the residual has the same units. Each
 search returns the solution and whether it failed. Residuals have nonsmooth points: where a transformation starts or

@@ -71,7 +71,7 @@ def split_rows(
     """Return the rows of each part of a recording, which is split where the clock begins again.
 
     Other bad rows are left out, as by ``good_rows``: the wire went on between the rows next to them, and each part of
-    a recording begins from a state of its own.
+    a recording has its own initial state.
 
     Args:
         origin: The file, or the name of the object, for messages.

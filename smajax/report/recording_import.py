@@ -59,7 +59,7 @@ def import_summary(
 
 
 def _rig_lines(draft: RigDraft | str) -> list[str]:
-    """Return what is said of the rig: its kind, what it fits, and the values in it that no recording says."""
+    """Return the sentences on the rig: its kind, what it fits, and the values in it that no recording gives."""
     if isinstance(draft, str):
         return ["", *wrap(f"No rig is written: {draft}.", _WIDTH)] if draft else []
     observed, free = ", ".join(draft.rig.fit.observe), ", ".join(draft.rig.fit.names)
@@ -72,7 +72,7 @@ def _rig_lines(draft: RigDraft | str) -> list[str]:
         if draft.assumptions
         else "material.austenite_start = 68 degC"
     )
-    text = f"Assumed in it, as no recording says it: {assumed}{alloy} of Flexinol wire. Give what you know, as in "
+    text = f"Assumed in it, as no recording gives it: {assumed}{alloy} of Flexinol wire. Give what you know, as in "
     text += f"--set '{example}' (values in Python), or correct it in the file."
     return [*lines, *wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)]
 

@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
-from smajax.numerics.implicit_differentiation import implicit_jvp, implicit_jvp_with, jvp
+from smajax.numerics.implicit_differentiation import implicit_jvp, implicit_jvp_from_jacobian, jvp
 from smajax.plant.plant import Plant
 from smajax.simulation.compilation import (
     BLOCK,
@@ -133,7 +133,7 @@ def _forward_sensitivities(
             end_tangent = implicit_jvp(residual, root, primals, tangents)
         else:
             jacobian = jax.lax.stop_gradient(plant.step_jacobian(unflatten(start), *step, root))
-            end_tangent = implicit_jvp_with(jacobian, residual, root, primals, tangents)
+            end_tangent = implicit_jvp_from_jacobian(jacobian, residual, root, primals, tangents)
         return end_tangent, jvp(output, (plant, end, signal), (plant_tangent, end_tangent, signal_tangent))
 
     step, step_tangents, signal_tangents = _step_rows(inputs, input_tangents)

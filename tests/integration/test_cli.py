@@ -459,14 +459,14 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
         read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
         assert "smajax tune" in result.output
     assert contents["rig.toml"].count(b"#") > 5
-    told = "no latent heat of the transformation"
-    assert (told in result.output) == (kind != "path")
+    note = "no latent heat of the transformation"
+    assert (note in result.output) == (kind != "path")
     for rig in ("rig.toml", "example.toml"):
         checked = smajax("check", tmp_path / "mine" / rig, tmp_path / "mine" / "example.csv")
         assert checked.exit_code == 0, checked.output
         assert kind in checked.stdout
         assert "free parameter" in checked.stdout
-        assert (told in checked.stdout) == (kind != "path")
+        assert (note in checked.stdout) == (kind != "path")
     (tmp_path / "mine" / "example.csv").unlink()
     assert "exists and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path / "mine"), 2)
     assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == {

@@ -3,7 +3,7 @@
 - ``kind``: the kind of the rig and the control that the recorded channels suggest.
 - ``observation``: channels that are fitted, and parameters that such a fit can determine.
 - ``start_values``: start values of heat loss and supply from a recorded temperature.
-- ``draft``: the text of the rig, and the values in it that no recording says.
+- ``draft``: the text of the rig, and the values in it that no recording gives.
 """
 
 from smajax.files.rig_draft.draft import Assumption, RigDraft, draft_rig

@@ -1,4 +1,4 @@
-"""The text of a rig that fits imported recordings: the template of its kind, with what the recordings say."""
+"""The text of a rig that fits imported recordings: the template of its kind with values from the recordings."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ from smajax.files.templates import set_value
 from smajax.recordings.datasets import data_path
 from smajax.recordings.recording import Recording
 
-# Sections of a rig that describe the bench, as opposed to alloy, heat transfer and fit; a recording says none of them.
+# Sections of a rig that describe the bench, as opposed to alloy, heat transfer and fit; a recording gives none of them.
 _NOT_OF_BENCH = ("schema", "rig", "material", "heat", "environment", "fit")
 # Nominal voltage of a supply of which nothing is known, and of which the fit or a regression finds the value.
 _UNKNOWN_SUPPLY = "1 V"
 # Digits of start values.
 _DIGITS = 3
 _AMBIENT = "environment.ambient"
-_ASSUMED = "assumed: no recording says it"
+_ASSUMED = "assumed: no recording gives it"
 _START = "start value, from the temperature of the recording"
 # First line of the examples of sections in a template, which the sections of the recording replace, and the section
 # after them, with an example line in it that the fit replaces.
@@ -38,7 +38,7 @@ _COMMENT_COLUMN = 34
 
 @dataclass(frozen=True)
 class Assumption:
-    """A value in a rig that no recording says.
+    """A value in a rig that no recording gives.
 
     Attributes:
         name: Name of the parameter.
@@ -59,7 +59,7 @@ class RigDraft:
         kind: Its kind, and why.
         text: Text of the rig file.
         rig: The rig.
-        assumptions: Values that no recording says.
+        assumptions: Values that no recording gives.
     """
 
     kind: RigKind
@@ -142,7 +142,7 @@ def _set_control(document: Any, kind: RigKind) -> None:
 def _assumed_names(
     document: Any, kind: RigKind, recordings: Sequence[Recording], given: Mapping[str, str]
 ) -> list[str]:
-    """Return the names of the values that no recording says and the user has not given."""
+    """Return the names of the values that neither recording nor user gives."""
     if kind.kind == "path":
         return []
     names = [

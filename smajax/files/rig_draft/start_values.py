@@ -1,18 +1,19 @@
-"""Values of a rig that recordings say: those at rest, and start values by a linear regression of the heat balance."""
+"""Values of a rig that recordings give: those at rest, and start values by a linear regression of the heat balance."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
+from smajax.parameters import declarations
+from smajax.plant.wire import Environment
 from smajax.recordings.recording import Recording
 from smajax.units import as_text
 
 # Digits of values, and decimals of a temperature in degC, more than which no start value needs.
 _DIGITS, _DECIMALS = 3, 2
-# Acceleration of free fall in m/s^2, as in ``environment.gravity``.
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class ThermalStart:
 
 
 def values_in(recordings: Sequence[Recording]) -> dict[str, tuple[str, str]]:
-    """Return the values of a rig that recordings say, as text with a unit and where each is from, by name.
+    """Return the values of a rig that recordings give, as text with a unit and where each is from, by name.
 
     The first temperature and the first force are those of the rig at rest.
 
@@ -47,7 +48,7 @@ def values_in(recordings: Sequence[Recording]) -> dict[str, tuple[str, str]]:
     if "force" in whole and first["force"][0] > 0:
         mean = float(np.nanmean(whole["force"]))
         values["spring.preload"] = (f"{first['force'][0]:.{_DIGITS}g} N", "the first force of the recording")
-        values["load.mass"] = (f"{mean / GRAVITY:.{_DIGITS}g} kg", "the mean force of the recording")
+        values["load.mass"] = (f"{mean / _gravity():.{_DIGITS}g} kg", "the mean force of the recording")
     if len(whole) == 2 and np.any(whole["stress"]):
         area = float(whole["force"] @ whole["stress"] / (whole["stress"] @ whole["stress"]))
         if area > 0:
@@ -72,8 +73,7 @@ def thermal_start(recordings: Sequence[Recording], control: str, ambient: float)
         temperature, duration = recording.channels["temperature"], np.diff(recording.time)
         surroundings = recording.channels.get("ambient", np.full(len(recording), ambient))
         heated = np.concatenate([[0.0], np.cumsum(recording.channels[control][:-1] * duration)])
-        excess = temperature - surroundings
-        lost = np.concatenate([[0.0], np.cumsum((excess[1:] + excess[:-1]) / 2 * duration)])
+        lost = cumulative_trapezoid(temperature - surroundings, recording.time, initial=0.0)
         rows.append(np.stack([heated, -lost], axis=1))
         rises.append(temperature - temperature[0])
     equations, rise = np.concatenate(rows), np.concatenate(rises)
@@ -82,3 +82,10 @@ def thermal_start(recordings: Sequence[Recording], control: str, ambient: float)
         return None
     heating, loss = np.linalg.lstsq(equations[finite], rise[finite], rcond=None)[0]
     return ThermalStart(float(heating), float(loss)) if heating > 0 and loss > 0 else None
+
+
+def _gravity() -> float:
+    """Gravitational acceleration of a rig that gives none, m/s^2."""
+    gravity = declarations(Environment)["gravity"].default
+    assert gravity is not None
+    return gravity

@@ -1,4 +1,4 @@
-"""The rig of an import: its kind by the recorded channels, what it fits, and the values in it that recordings say."""
+"""The rig of an import: its kind by the recorded channels, what it fits, and the values in it that recordings give."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_values_of_the_user_take_their_place_and_others_are_marked():
     assert result.rig.fit.free == ("heat.h0", "heat.capacity")  # the supply is known
     lines = result.text.splitlines()
     assert 'diameter = "0.5 mm"' in lines
-    assert 'length = "230 mm"                 # assumed: no recording says it' in lines
+    assert 'length = "230 mm"                 # assumed: no recording gives it' in lines
     assert 'ambient = "26 degC"               # the first temperature of the recording' in lines
 
 
