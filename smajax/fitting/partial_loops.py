@@ -29,7 +29,7 @@ def has_partial_loop(strain: Float[np.ndarray, " rows"]) -> bool:
     return False
 
 
-def spread_warnings(strains: Sequence[Float[np.ndarray, " rows"]], free: Sequence[str]) -> list[str]:
+def spread_warnings(strains: Sequence[Float[np.ndarray, " _rows"]], free: Sequence[str]) -> list[str]:
     """Return a sentence if spreads of grains are free and no training recording has a partial loop.
 
     Args:
