@@ -100,7 +100,8 @@ def draw_background(
     *,
     cells: int = 44,
     grains: int = 12,
-    spread: tuple[float, float] = (3.0, 5.0),
+    bands: tuple[float, float] = (16.0, 14.0),
+    spread: tuple[float, float] = (0.75, 1.0),
 ) -> Background:
     """Draw a background.
 
@@ -109,8 +110,12 @@ def draw_background(
         wires: Number of wires: of one batch, so with the same grains, but each with its own convection along its length.
         cells: Number of cells.
         grains: Number of grains in each cell.
-        spread: Limits of the standard deviations of the grains' shifts, K.
+        bands: Widths of the reverse and the forward transformation of the whole wire, A_f - A_s and M_s - M_f, K.
+        spread: Limits of the standard deviations of the grains' shifts, over that with which logistic branches of all grains together
+            have the standard deviation of one logistic branch over the whole band.
     """
+    branch = rng.uniform(0.5, 0.8)
+    deviations = np.array(bands) * math.sqrt(1.0 - branch**2) / (2.0 * math.sqrt(3.0))
     lengths = cell_lengths(cells)
     middle = np.cumsum(lengths) - 0.5 * lengths
     waves = np.arange(1, 4)[:, None]
@@ -122,9 +127,8 @@ def draw_background(
     return Background(
         lengths,
         cooling,
-        rng.uniform(*spread) * rng.standard_normal(grains),
-        rng.uniform(*spread) * rng.standard_normal(grains),
-        rng.uniform(0.5, 0.8),
+        *(rng.uniform(*spread) * deviation * rng.standard_normal(grains) for deviation in deviations),
+        branch,
         AXIAL_CONDUCTIVITY,
         rng.uniform(0.01, 0.05),
         rng.uniform(0.1, 0.4),

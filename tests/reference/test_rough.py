@@ -120,7 +120,7 @@ def test_a_closed_cycle_gives_off_the_heat_that_it_takes_up():
 
 def test_minor_loops_of_grains_close():
     """What 20 equal loops between two temperatures change at their hot ends, for narrow and wide branches of the grains."""
-    background = draw_background(np.random.default_rng(2), spread=(4.0, 4.0))
+    background = draw_background(np.random.default_rng(2), spread=(1.0, 1.0))
     totals = []
     for branch in (0.1, 0.6):
         constants = _constants(WEIGHT, background._replace(branch=branch))
