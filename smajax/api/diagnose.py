@@ -156,7 +156,8 @@ def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter, cl
 
 def _files(rig: Rig, text: str, setup: DiagnosisSetup, result: Diagnosis) -> dict[str, FileContent]:
     """Return the files of the result folder in addition to document, predictions and page."""
-    diagnosed = diagnosed_rig(rig, setup.problem.fitted_plant(result.after), setup.auxiliary)
+    assert result.plant is not None
+    diagnosed = diagnosed_rig(rig, result.plant, setup.auxiliary)
     files: dict[str, FileContent] = {"rig.toml": text.encode(), "rig-diagnosed.toml": diagnosed.to_toml().encode()}
     if result.next_experiment and result.next_experiment.recording:
         files[NEXT_INPUT] = result.next_experiment.recording.write

@@ -82,6 +82,12 @@ class CandidateEvaluator:
         self.seed: int = seed
         self._stride_errors: dict[int, float] = {}
 
+    def on(self, problem: DiagnosisProblem) -> "CandidateEvaluator":
+        """Return an evaluator of the same recordings on a problem of the same programs, with the same strides."""
+        evaluator = CandidateEvaluator(problem, self.seed)
+        evaluator._stride_errors = self._stride_errors
+        return evaluator
+
     def base_refit(self, point: np.ndarray, status: SolverStatus) -> Refit:
         """Make a refit without effects, and measure which step lengths and strides are accurate enough there.
 

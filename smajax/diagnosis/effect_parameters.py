@@ -101,7 +101,11 @@ def effect_kinds(plant: Plant) -> dict[str, type[AbstractEffect]]:
 
 
 def possible_effects(
-    plant: Plant, free: Collection[str], recordings: Sequence[Recording], capabilities: frozenset[str]
+    plant: Plant,
+    free: Collection[str],
+    recordings: Sequence[Recording],
+    capabilities: frozenset[str],
+    only: Collection[str] | None = None,
 ) -> tuple[tuple[str, ...], dict[str, AbstractEffect]]:
     """Collect the effects that a rig has or could have.
 
@@ -110,6 +114,7 @@ def possible_effects(
         free: Names of the rig's free parameters.
         recordings: The training recordings.
         capabilities: What the rig can have and show (``Plant.capabilities``).
+        only: Keys to which those that the rig could have are limited; ``None`` for all.
 
     Returns:
         The keys of the effects that the rig file models (free, or of a nonzero strength), and all effects by key: the
@@ -123,7 +128,7 @@ def possible_effects(
     candidates = {
         key: _zero_effect(kind, plant, recordings) if key in catalogue() else in_plant[key]
         for key, kind in effect_kinds(plant).items()
-        if key not in modelled and not kind.unavailable_reason(capabilities)
+        if key not in modelled and (only is None or key in only) and not kind.unavailable_reason(capabilities)
     }
     return tuple(modelled), modelled | candidates
 

@@ -209,7 +209,7 @@ def _run_round(
         return []
     before, after = math.sqrt(state.base_fit.select_chi2), math.sqrt(best.select_chi2)
     report_progress(f"with {' and '.join(best.keys)}: error over noise {before:.3g} -> {after:.3g}, selected")
-    return _accept(state, best, fits, problem.samples)
+    return accept(state, best, fits, problem.samples)
 
 
 def _fit_first_effects(
@@ -367,8 +367,18 @@ def _refit_open_fits_jointly(
     return [joint.get(id(fit), fit) for fit in fits]
 
 
-def _accept(state: SelectionState, best: CandidateFit, fits: list[CandidateFit], samples: int) -> list[CandidateFit]:
-    """Store the best fit as accepted, with alternatives and equivalents of its effects. Return the next beam."""
+def accept(state: SelectionState, best: CandidateFit, fits: list[CandidateFit], samples: int) -> list[CandidateFit]:
+    """Store a fit as accepted, with alternatives and equivalents of its effects.
+
+    Args:
+        state: The state of the selection, which is changed.
+        best: The fit.
+        fits: All fits of its round.
+        samples: Number of scored samples of the training split.
+
+    Returns:
+        The best fits of the round, which get another effect each in the next one.
+    """
     state.current = best
     state.accepted_fits.append(best)
     other_fits = sorted((fit for fit in fits if set(fit.keys) != set(best.keys)), key=lambda fit: fit.total_chi2)

@@ -7,21 +7,23 @@ from types import MappingProxyType
 import jax.numpy as jnp
 
 from smajax.diagnosis.acceptance import Rejection, RejectionCode
+from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
-from smajax.diagnosis.forward_selection import MIN_CAUSE_FRACTION, select_effects
+from smajax.diagnosis.forward_selection import select_effects
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.localisation import most_likely_stage
 from smajax.diagnosis.next_experiment import propose_experiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit, fit_nonparametric_term
 from smajax.diagnosis.onset_times import onset_prediction_error
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.plausibility import absent_effects
 from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
-from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summarise
+from smajax.diagnosis.result import Conclusion, Diagnosis, summarise
 from smajax.diagnosis.selection_state import SelectionState
+from smajax.diagnosis.structure import UNIFORM, Structure
+from smajax.diagnosis.structured_selection import select_with_structure
 from smajax.errors import NumericsError
 from smajax.progress import CallbackStop, stoppable
 from smajax.simulation.status import SimulationStatus
@@ -47,10 +49,13 @@ def diagnose(
     """Find the effects that a rig lacks, classify the outcome, and propose the next experiment.
 
     1. Select effects on the training and the selection split (``forward_selection``).
-    2. Reject them if they leave most of the excess; where they leave more than noise, also if they do not improve the
-       holdout. Only then has the holdout a part in the choice of the effects (``Diagnosis.holdout_decided``).
-    3. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
-    4. Locate an unexplained residual (``localisation``), and propose an input that distinguishes equivalent effects.
+    2. Where they leave more than noise, decide whether the wire needs cells and grains, and select effects next to them
+       (``structured_selection``).
+    3. Keep as facts those that explain most of the excess; the others are candidates (``support``). Where more than
+       noise remains, reject them if they do not improve the holdout. Only then has the holdout a part in the choice of
+       the effects (``Diagnosis.holdout_decided``).
+    4. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
+    5. Locate an unexplained residual (``localisation``), and propose an input that distinguishes equivalent effects.
 
     Args:
         problem: The diagnosis problem, with three splits for training, selection and holdout.
@@ -66,31 +71,35 @@ def diagnose(
         NumericsError: If the simulation fails at the rig's own values, or if the base fit neither converged nor is at
             the noise, and no effect is accepted; its ``state`` then holds the parameters of the base fit.
     """
-    evaluator, state = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
-    reject_if_little_explained(state)
-    _check_convergence(problem, state)
+    rig, without = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
+    evaluator, state, structure = select_with_structure(rig, without, stoppable(report_progress))
+    if not structure.effects:
+        _check_convergence(problem, state)
     may_continue = _continuation(state, report_progress)
     may_continue("predicting the holdout")
-    before, after = _joint_refits(problem, state)
-    while absent := absent_effects(problem, after):
+    before = _joint_refit(problem, without.base_fit.refit)
+    after = _last_refit(evaluator.problem, state, structure, before)
+    while absent := absent_effects(evaluator.problem, after):
         _drop_absent(evaluator, state, absent[-1])
-        before, after = _joint_refits(problem, state)
-    verdict = _verdict(evaluator, state, after)
+        after = _last_refit(evaluator.problem, state, structure, before)
+    verdict = _verdict(evaluator, state, after, structure)
     holdout_decided = verdict == "partial"
-    if holdout_decided and not improves_holdout(evaluator, before, after):
+    if holdout_decided and not improves_holdout(evaluator, before, after, rig):
         _reject_all(state, RejectionCode.holdout)
-        after, verdict = before, "unresolved"
+        evaluator, after, verdict = rig, before, "unresolved"
+        structure = UNIFORM._replace(errors=structure.errors)
+        state.base_fit = state.current = without.base_fit
     stage = term = experiment = None
     unexplained = verdict in ("unresolved", "partial")
     try:
         if unexplained and may_continue("searching for the stage that the residual comes from"):
             stage, term = _locate_residual(evaluator, state)
         if verdict not in ("named", "nothing-missing") and may_continue("designing the next experiment"):
-            experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
+            experiment = propose_experiment(evaluator.problem, state.current.refit, _rivals(state), seed)
     except KeyboardInterrupt:  # the effects are a result without these two
         state.interrupted = True
-    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided)
-    return summarise(evaluator, state, before, after, conclusion)
+    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided, structure)
+    return summarise(evaluator, state, before, after, conclusion, without=rig)
 
 
 def _continuation(state: SelectionState, report_progress: Callable[[str], object]) -> Callable[[str], bool]:
@@ -124,29 +133,31 @@ def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
     return refits[-1]
 
 
-def reject_if_little_explained(state: SelectionState) -> None:
-    """Reject all accepted effects if they explain less than half of the excess and do not fit to the noise."""
-    if state.accepted and state.explained < MIN_CAUSE_FRACTION and state.current.train_chi2 > state.acceptable_chi2:
-        _reject_all(state, RejectionCode.little_explained, state.explained)
-
-
-def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
+def improves_holdout(
+    evaluator: CandidateEvaluator, before: Refit, after: Refit, without: CandidateEvaluator | None = None
+) -> bool:
     """Return whether the RMSE of the holdout falls significantly in any channel, or only the effects predict it at all.
 
     Args:
         evaluator: The evaluator, whose seed the bootstrap uses.
         before: The fit without effects.
         after: The fit with the accepted effects.
+        without: The evaluator of ``before``, where the structure of the wire is another one.
     """
-    problem = evaluator.problem
-    residuals, statuses = zip(*(problem.report(refit, HOLDOUT) for refit in (before, after)), strict=True)
+    problem, pairs = evaluator.problem, ((without or evaluator, before), (evaluator, after))
+    residuals, statuses = zip(*(e.problem.report(refit, HOLDOUT) for e, refit in pairs), strict=True)
     if statuses[1] is not SimulationStatus.done:
         return False
     without, with_effects = (problem.series(residual, HOLDOUT) for residual in residuals)
     return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
 
 
-def classify_outcome(state: SelectionState, joint: tuple[float, ...], expected_chi2: tuple[float, float]) -> str:
+def classify_outcome(
+    state: SelectionState,
+    joint: tuple[float, ...],
+    expected_chi2: tuple[float, float],
+    structure: Structure = UNIFORM,
+) -> str:
     """Return the verdict.
 
     - "nothing-missing": no effect is accepted, and all three splits are at the noise.
@@ -162,10 +173,11 @@ def classify_outcome(state: SelectionState, joint: tuple[float, ...], expected_c
         joint: Reduced chi-squared of the fit to training and selection split on all three splits.
         expected_chi2: Reduced chi-squared by the noise and the uncertainty of the parameters: on the selection split,
             of the fit to the training split, and on the holdout, of the fit to both.
+        structure: The structure of the wire, which counts as an accepted effect.
     """
     current, acceptable = state.current, state.acceptable_chi2
     select, holdout = current.select_chi2 / expected_chi2[0], joint[HOLDOUT] / expected_chi2[1]
-    if not state.accepted:
+    if not state.accepted and not structure.effects:
         limit = max(state.chi2_limit, _MIN_MISSING)
         missing = current.train_chi2 > limit or select > _MAX_MISS or holdout > _MAX_MISS**2
         return "unresolved" if missing else "nothing-missing"
@@ -186,18 +198,21 @@ def _check_convergence(problem: DiagnosisProblem, state: SelectionState) -> None
     )
 
 
-def _joint_refits(problem: DiagnosisProblem, state: SelectionState) -> tuple[Refit, Refit]:
-    """The fits by which the holdout is predicted, without and with the accepted effects."""
-    base, current = state.base_fit.refit, state.current.refit
+def _joint_refit(problem: DiagnosisProblem, base: Refit) -> Refit:
+    """The fit without effects by which the holdout is predicted."""
     nominal = Refit(EffectSet(), problem.nominal, *problem.evaluate(EffectSet(), problem.nominal, TRAIN), base.status)
-    refits = [base, current] if state.accepted else [base]
-    joint = map_in_pairs(lambda refit: refit_jointly(problem, refit), refits)
-    before = first_predicting_refit(problem, joint[0], base, nominal)
-    after = first_predicting_refit(problem, joint[1], current) if state.accepted else before
-    return before, after
+    return first_predicting_refit(problem, refit_jointly(problem, base), base, nominal)
 
 
-def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit) -> str:
+def _last_refit(problem: DiagnosisProblem, state: SelectionState, structure: Structure, before: Refit) -> Refit:
+    """The fit with the structure and the accepted effects by which the holdout is predicted."""
+    current = state.current.refit
+    if not state.accepted and not structure.effects:
+        return before
+    return first_predicting_refit(problem, refit_jointly(problem, current), current)
+
+
+def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit, structure: Structure) -> str:
     """The verdict; the uncertainty of onset times is evaluated only where it would otherwise be "partial"."""
     problem, current = evaluator.problem, state.current
     splits = range(len(problem.splits))
@@ -209,14 +224,16 @@ def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit)
         expected_reduced_chi2(evaluator, current.refit, SELECT, autocorrelated=autocorrelated),
         expected_reduced_chi2(evaluator, after, HOLDOUT, fitted, autocorrelated=autocorrelated),
     )
-    verdict = classify_outcome(state, joint, expected_chi2)
+    verdict = classify_outcome(state, joint, expected_chi2, structure)
     if verdict == "partial" and min(current.train_chi2, max(joint[:HOLDOUT])) < state.acceptable_chi2:
         # An onset time may be more uncertain than its derivative says.
         onset_errors = (
             onset_prediction_error(problem, current.refit, SELECT),
             onset_prediction_error(problem, after, HOLDOUT, fitted),
         )
-        return classify_outcome(state, joint, (expected_chi2[0] + onset_errors[0], expected_chi2[1] + onset_errors[1]))
+        return classify_outcome(
+            state, joint, (expected_chi2[0] + onset_errors[0], expected_chi2[1] + onset_errors[1]), structure
+        )
     return verdict
 
 

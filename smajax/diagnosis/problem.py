@@ -6,7 +6,7 @@ Fits, scores, refits and predictions all run on the same compiled programs (``co
 import dataclasses
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -68,6 +68,7 @@ class DiagnosisProblem(GriddedSplits):
         settings: The fit settings of the rig file.
         interpolation: How inputs are interpolated (``discretise``).
         step: Length of the steps, s; ``None`` for the default.
+        candidates: Keys of the effects that are candidates; by default all that the rig could have.
 
     Raises:
         InputError: If start values are free, or a recording has rows without a value of an observed channel.
@@ -81,6 +82,7 @@ class DiagnosisProblem(GriddedSplits):
         *,
         interpolation: str,
         step: float | None = None,
+        candidates: Collection[str] | None = None,
     ):
         if settings.initial:
             raise InputError("a diagnosis takes no free start values: leave out fit.initial")
@@ -92,7 +94,7 @@ class DiagnosisProblem(GriddedSplits):
         self.capabilities: frozenset[str] = plant.capabilities(recorded) - without_clock
         self.duration: float = max(float(r.time[-1] - r.time[0]) for r in train)
         self.effect_kinds: dict[str, type[AbstractEffect]] = effect_kinds(plant)
-        modelled, effects = possible_effects(plant, settings.free, train, self.capabilities)
+        modelled, effects = possible_effects(plant, settings.free, train, self.capabilities, candidates)
         self.modelled_effects: tuple[str, ...] = modelled
         self.effects: dict[str, AbstractEffect] = effects
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *zero_terms()))

@@ -1,8 +1,9 @@
 """The recordings of a diagnosis on grids of one shape: one fit problem, divided into one for each split."""
 
+import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from smajax import parameters
 from smajax.diagnosis.compiled_model import PADDING_MULTIPLE
 from smajax.diagnosis.data_split import TRAIN, DataSplit
 from smajax.diagnosis.step_lengths import steps_per_sample, with_longer_steps
@@ -93,6 +95,8 @@ class GriddedSplits:
         problems: The fit problem of each split.
         shared_count: Number of base parameters that all recordings share.
         own_count: Number of own parameters of each recording.
+        settings: The fit settings of the rig file.
+        grid_options: ``interpolation`` and ``step`` of ``discretise``.
 
     Args:
         plant: The plant of all problems.
@@ -104,7 +108,8 @@ class GriddedSplits:
     def __init__(self, plant: Plant, splits: Sequence[DataSplit], settings: Settings, grid_options: dict[str, Any]):
         self.splits: list[DataSplit] = list(splits)
         self.channels: tuple[str, ...] = tuple(settings.observe)
-        self._grid_options = grid_options
+        self.settings: Settings = settings
+        self.grid_options: dict[str, Any] = grid_options
         self._pieces = 1  # default steps that one step of the problems replaces
         self._rows = [split.rows() for split in self.splits]
         self._has_clock = all(r.has_clock for r in self.splits[TRAIN].recordings)
@@ -125,6 +130,15 @@ class GriddedSplits:
         self.noise = dict(noise)
         self.problems = [with_weights(p, rows, self.noise) for p, rows in zip(self.problems, self._rows, strict=True)]
         self._strided: dict[int, Problem] = {}
+
+    def with_plant_values(self, values: Mapping[str, float]) -> Self:
+        """Return the splits with other values, SI, of parameters of the plant that are not free."""
+        changed = copy.copy(self)
+        changed.problems = [
+            dataclasses.replace(p, plant=parameters.replace(p.plant, dict(values))) for p in self.problems
+        ]
+        changed._strided = {}
+        return changed
 
     @property
     def samples(self) -> int:
@@ -188,7 +202,7 @@ class GriddedSplits:
         if not self._has_clock:
             return None
         recordings = self.splits[split].recordings
-        return with_longer_steps(self.problems[split], recordings, stride, pieces=pieces, **self._grid_options)
+        return with_longer_steps(self.problems[split], recordings, stride, pieces=pieces, **self.grid_options)
 
     def lengthen_steps(self, is_accurate: Callable[[Problem], bool]) -> None:
         """Replace several steps between two samples by one, if that is accurate enough.
@@ -214,9 +228,9 @@ class GriddedSplits:
         """
         train = self.problems[TRAIN]
         surroundings = train.data.inputs.surroundings
-        inputs = discretise(train.plant, recording, **self._grid_options, surroundings=surroundings)
+        inputs = discretise(train.plant, recording, **self.grid_options, surroundings=surroundings)
         if self._pieces > 1:
-            inputs = inputs.coarsen(1, held=self._grid_options["interpolation"] == "hold", pieces=self._pieces)
+            inputs = inputs.coarsen(1, held=self.grid_options["interpolation"] == "hold", pieces=self._pieces)
         count, points = train.data.inputs.time.shape
         samples = train.data.inputs.sample_indices.shape[1]
         if len(inputs.time) > points or len(inputs.sample_indices) > samples:

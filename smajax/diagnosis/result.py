@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
-from jaxtyping import Float
 
 from smajax.diagnosis.acceptance import Rejection, RejectionCode
+from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
@@ -20,17 +19,14 @@ from smajax.diagnosis.plausibility import implausible_estimates
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
 from smajax.diagnosis.screening import NORMAL_95, half_width_95
-from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
+from smajax.diagnosis.selection_state import CandidateSummary, SelectionState, Support
 from smajax.diagnosis.step_errors import estimate_step_error
+from smajax.diagnosis.structure import UNIFORM, Structure, structured_plant
 from smajax.files.plausible_ranges import ImplausibleValue, plausible_range
 from smajax.fitting.intervals import covariance_under_autocorrelation
 from smajax.parameters import declarations
+from smajax.plant.plant import Plant
 from smajax.simulation.status import SimulationStatus
-
-# Number of blocks into which the bootstrap divides a residual, each longer than its correlation. Chosen by trial.
-_BLOCKS = 50
-# Number of random samples of the bootstrap: 25 of them then lie below its 2.5 % quantile.
-_DRAWS = 1000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +39,7 @@ class Conclusion:
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
         holdout_decided: Whether the holdout decided that the effects stay, or that they were rejected.
+        structure: The structure of the wire.
     """
 
     verdict: str
@@ -50,6 +47,7 @@ class Conclusion:
     nonparametric_fit: NonparametricFit | None = None
     next_experiment: NextExperiment | None = None
     holdout_decided: bool = False
+    structure: Structure = UNIFORM
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +91,7 @@ class Diagnosis:
 
     Attributes:
         verdict: "named", "named-up-to-class", "partial", "unresolved" or "nothing-missing".
-        effects: Keys of the accepted effects.
+        effects: Keys of the effects that stand for the structure of the wire, and of the accepted effects.
         equivalent: For each accepted effect, those that explain the recordings as well.
         unresolved_stage: The stage that an unexplained residual comes from.
         detectability: What the training input can show of each effect.
@@ -120,6 +118,9 @@ class Diagnosis:
         interrupted: Whether the progress callback ended the diagnosis early.
         failures: Predictions of ``before`` and ``after`` that failed; their errors are NaN.
         implausible: Parameters of ``after`` outside of what an alloy can have.
+        structure: The structure of the wire that was found.
+        supports: Evidence for each effect that was accepted at first: facts, then candidates.
+        plant: The plant of ``after``; ``None`` where it was not built.
     """
 
     verdict: str
@@ -148,10 +149,19 @@ class Diagnosis:
     interrupted: bool
     failures: tuple[FailedPrediction, ...] = ()
     implausible: tuple[ImplausibleValue, ...] = ()
+    structure: Structure = UNIFORM
+    supports: tuple[Support, ...] = ()
+    plant: Plant | None = None
 
 
 def summarise(
-    evaluator: CandidateEvaluator, state: SelectionState, before: Refit, after: Refit, conclusion: Conclusion
+    evaluator: CandidateEvaluator,
+    state: SelectionState,
+    before: Refit,
+    after: Refit,
+    conclusion: Conclusion,
+    *,
+    without: CandidateEvaluator | None = None,
 ) -> Diagnosis:
     """Collect the result of a diagnosis.
 
@@ -161,9 +171,10 @@ def summarise(
         before: The base fit by which the holdout is predicted.
         after: The fit with the accepted effects by which the holdout is predicted.
         conclusion: Verdict, stage and form of the residual, and the next experiment.
+        without: The evaluator of ``before``, where the structure of the wire is another one.
     """
-    problem, noise = evaluator.problem, evaluator.problem.noise
-    series, failures = _residual_series(evaluator, before, after)
+    problem, noise, structure = evaluator.problem, evaluator.problem.noise, conclusion.structure
+    series, failures = _residual_series((without or evaluator, evaluator), before, after)
     predictions = {
         when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
         for when, splits in series.items()
@@ -180,7 +191,7 @@ def summarise(
     unexplained = conclusion.verdict in ("partial", "unresolved")
     return Diagnosis(
         verdict=conclusion.verdict,
-        effects=tuple(state.accepted),
+        effects=(*structure.effects, *state.accepted),
         equivalent={key: state.equivalent[key] for key in state.accepted if state.equivalent.get(key)},
         unresolved_stage=conclusion.unresolved_stage,
         detectability=tuple(state.detectability.values()),
@@ -209,6 +220,9 @@ def summarise(
         interrupted=state.interrupted,
         failures=failures,
         implausible=implausible_estimates(problem, after),
+        structure=structure,
+        supports=state.supports,
+        plant=structured_plant(problem.fitted_plant(after), structure),
     )
 
 
@@ -222,11 +236,12 @@ def _rejections(state: SelectionState) -> tuple[Rejection, ...]:
 
 
 def _residual_series(
-    evaluator: CandidateEvaluator, before: Refit, after: Refit
+    evaluators: tuple[CandidateEvaluator, CandidateEvaluator], before: Refit, after: Refit
 ) -> tuple[dict[str, list[dict[str, np.ndarray]]], tuple[FailedPrediction, ...]]:
     """Residuals over the noise by "before" and "after", split and channel, NaN where it fails; and the failures."""
-    problem, series, failures = evaluator.problem, {}, []
-    for when, refit in (("before", before), ("after", after)):
+    series, failures = {}, []
+    for when, evaluator, refit in zip(("before", "after"), evaluators, (before, after), strict=True):
+        problem = evaluator.problem
         reports = [problem.report(refit, k) for k in (TRAIN, SELECT, HOLDOUT)]
         series[when] = [problem.series(residual, k) for k, (residual, _) in enumerate(reports)]
         failures += [
@@ -322,41 +337,3 @@ def _effect_estimates(
             head = (name, refit.values[name], declaration.unit, declaration.meaning)
             estimates.append(EffectEstimate(*head, intervals.get(name), ends))
     return tuple(estimates)
-
-
-def bootstrap_cut(
-    before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"], seed: int, draws: int = _DRAWS
-) -> tuple[float, float]:
-    """Compute a 95 % interval of the fall of the RMSE by a block bootstrap with 50 blocks.
-
-    Args:
-        before: Residual without effects, shape ``(n,)``.
-        after: Residual with them, shape ``(n,)``.
-        seed: Seed of the random samples.
-        draws: Number of random samples.
-
-    Returns:
-        Lower and upper end, in the unit of the residuals; NaN if a residual is not finite.
-
-    Source: carlstein1986.
-    """
-    length = max(1, len(before) // _BLOCKS)
-    count = len(before) // length
-    squares = [np.mean((v[: count * length] ** 2).reshape(count, length), axis=1) for v in (before, after)]
-    if not np.all(np.isfinite(squares)):
-        return math.nan, math.nan
-
-    def cut(before: np.ndarray, after: np.ndarray, axis: int) -> np.ndarray:
-        return np.sqrt(np.mean(before, axis=axis)) - np.sqrt(np.mean(after, axis=axis))
-
-    # The blocks are paired, and drawn together for both fits.
-    interval = scipy.stats.bootstrap(
-        squares,
-        cut,
-        paired=True,
-        n_resamples=draws,
-        confidence_level=0.95,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return float(interval.low), float(interval.high)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,23 @@ class CandidateSummary:
     refit_rmse_select: float | None = None
 
 
+class Support(NamedTuple):
+    """Evidence for an effect on the selection split.
+
+    Attributes:
+        key: Key of the effect.
+        share: Share of the excess mean square over the noise, without the effect, that it explains.
+        cut: 95 % interval of the fall of the RMSE, over the noise, by a bootstrap; NaN if the prediction without it
+            fails.
+        is_fact: Whether the rig is said to have it; otherwise it is a candidate.
+    """
+
+    key: str
+    share: float
+    cut: tuple[float, float]
+    is_fact: bool
+
+
 @dataclasses.dataclass
 class SelectionState:
     """The state of a forward selection, from the base fit to the current one.
@@ -62,6 +80,7 @@ class SelectionState:
         ranking: Summary of every effect after the first round.
         stage_shares: Share of the base fit's residual that each stage can explain.
         interrupted: Whether the progress callback stopped the search.
+        supports: Evidence for the accepted effects, facts, and for those that are candidates (``support``).
     """
 
     detectability: dict[str, Detectability]
@@ -78,6 +97,7 @@ class SelectionState:
     ranking: dict[str, CandidateSummary] = dataclasses.field(default_factory=dict)
     stage_shares: dict[str, float] = dataclasses.field(default_factory=dict)
     interrupted: bool = False
+    supports: tuple[Support, ...] = ()
 
     @property
     def accepted(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from smajax.diagnosis.auxiliary_channels import (
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.memory import require_diagnosis_memory
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.structure import SPREADS
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
 from smajax.plant.plant import Plant
@@ -93,15 +94,17 @@ def check_recordings(recordings: Sequence[Recording], signals: Sequence[str]) ->
 
 
 def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
-    """Return the rig with a diagnosed plant.
+    """Return the rig with a diagnosed plant; the spreads of grains that it did not have are free.
 
     Args:
         rig: The rig.
-        plant: The plant with the effects (``DiagnosisProblem.fitted_plant``).
+        plant: The plant with the effects (``Diagnosis.plant``).
         auxiliary: Auxiliary channels; those that one of the effects needs are added to the observed channels.
     """
     needed = [c for c in auxiliary if any(f"{c} observed" in effect.needs for effect in plant.effects)]
-    return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed)))
+    free = SPREADS if plant.grains is not None and rig.plant.grains is None else ()
+    fit = dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed), free=(*rig.fit.free, *free))
+    return dataclasses.replace(rig, plant=plant, fit=fit)
 
 
 def _saturated_channels(observed: Sequence[str], recordings: Sequence[Recording]) -> dict[str, ChannelFault]:

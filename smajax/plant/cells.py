@@ -16,11 +16,13 @@ the half wire and r half its length over the fin length, boundary i is at sinh(i
 Source: incropera2007, sections 3.6 (fins) and 4.4 (finite volumes).
 """
 
+import math
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip, minimum
@@ -156,6 +158,41 @@ class Cells(CheckedModule):
         middles = self._middles(boundaries)
         weights = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
         return temperature[0] + weights @ jnp.diff(temperature, axis=0)
+
+    def grain_temperatures(
+        self, temperature: Float[Array, "cells wires"], boundaries: Float[Array, " ends"], grains: int
+    ) -> Float[Array, "grains cells wires"]:
+        """Compute the temperature at the place of each grain, linear between the middles of the cells.
+
+        The grains of a cell are spread over its length, so that a cold end transforms gradually in few cells. Their
+        mean temperature is that of the cell.
+
+        Args:
+            temperature: Temperatures of the cells, degC.
+            boundaries: Boundaries of the cells, m.
+            grains: Number of grains in each cell.
+        """
+        if self.simulated == 1:
+            return jnp.broadcast_to(temperature, (grains, *temperature.shape))
+        middles, length = self._middles(boundaries), jnp.diff(boundaries)
+        places = self._grain_places(grains)
+        offset = boundaries[None, :-1] + (0.5 + places) * length[None] - middles[None]
+        slope = jnp.diff(temperature, axis=0) / jnp.diff(middles)[:, None]
+        before = jnp.concatenate([slope[:1], slope])
+        after = jnp.concatenate([slope, jnp.zeros_like(slope[:1])])
+        # The middle of an odd number of cells is at the end of the last one, so all of its grains come before it.
+        is_after = (places > 0.0) & (np.arange(self.simulated) < self.simulated - self.count % 2)
+        difference = offset[:, :, None] * jnp.where(is_after[:, :, None], after[None], before[None])
+        return temperature[None] + difference - jnp.mean(difference, axis=0, keepdims=True)
+
+    def _grain_places(self, grains: int) -> np.ndarray:
+        """Places of the grains in their cells, from -1/2 to 1/2, shape ``(grains, cells)``.
+
+        Their order differs from that of the transformation temperatures, and between neighbouring cells.
+        """
+        golden = next(n for n in range(round(0.618 * grains), grains + 2) if n > 0 and math.gcd(n, grains) == 1)
+        places = ((np.arange(grains) * golden) % grains + 0.5) / grains - 0.5
+        return np.where(np.arange(self.simulated) % 2, -places[:, None], places[:, None])
 
     def _middles(self, boundaries: jax.Array) -> jax.Array:
         """Distances of the middles of the cells from the clamp; that of an odd number of cells is at half the wire."""

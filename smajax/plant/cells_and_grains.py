@@ -98,6 +98,18 @@ class CellsAndGrains(eqx.Module):
             jnp.asarray(grains.quantiles), values
         )
 
+    def _grain_temperatures(self, temperature: Float[Array, "*cells wires"]) -> Float[Array, "*grains wires"]:
+        """The temperatures of all grains, which are spread over the lengths of the cells."""
+        if self.grains is None:
+            return temperature
+        if self.cells is None:
+            return jnp.broadcast_to(temperature, (self.grains.count, *temperature.shape))
+        return self.cells.grain_temperatures(temperature, self._cell_boundaries, self.grains.count)
+
+    def _for_grains(self, values: Float[Array, "*cells wires"]) -> Float[Array, "*grains wires"]:
+        """A quantity of the cells with an axis for the grains, if there are any."""
+        return values if self.grains is None else values[None]
+
     def _each_cell(self, hook: Callable[..., Any], *arguments: Any) -> Any:
         """Call a hook of an effect on heat or material, for which each cell is a wire."""
         if self.cells is None:

@@ -238,16 +238,29 @@ class PlantStages(CellsAndGrains):
         stress: Float[Array, " wires"],
     ) -> Fractions:
         """The fractions of all grains after a step from ``first`` to a temperature and a stress."""
+        return self._evolve_grains(first, fractions, self._grain_temperatures(temperature), stress)
+
+    def _evolve_grains(
+        self,
+        first: WireState,
+        fractions: Fractions,
+        temperature: Float[Array, "*grains wires"],
+        stress: Float[Array, " wires"],
+    ) -> Fractions:
+        """``_evolve_fractions`` with the temperature of each grain at the end."""
         context = self._stage_context()
         material, shift = context.material, 0.0
         for e in self._effects_of(MaterialEffect):
             material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
             shift = shift + checked_result(
-                e, "shift", self._each_cell(e.shift, first, context), temperature.shape, "wires"
+                e, "shift", self._each_cell(e.shift, first, context), first.temperature.shape, "wires"
             )
-        temperatures = first.temperature - shift, temperature - shift
+        shift = self._for_grains(shift) if jnp.ndim(shift) else shift
+        temperatures = tuple(at - shift for at in (self._grain_temperatures(first.temperature), temperature))
         stresses = self._per_cell(first.stress), self._per_cell(stress)
-        evolved = self._each_grain(lambda law, before: law.evolve(before, temperatures, stresses), material, fractions)
+        evolved = self._each_grain(
+            lambda law, values: law.evolve(values[0], values[1], stresses), material, (fractions, temperatures)
+        )
         for e in self._effects_of(MaterialEffect):
             modify = functools.partial(self._each_cell, e.modify_fractions)
             changed = (modify if self.grains is None else jax.vmap(modify))(fractions, evolved)

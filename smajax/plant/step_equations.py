@@ -233,14 +233,15 @@ class StepEquations(PlantStages):
     ) -> Fractions:
         """The fractions of the cells after a step, with their derivatives by temperature and stress only.
 
-        A cell depends on its temperature and its stress alone, so two tangents of all grains give the derivatives by
+        A grain depends on its temperature and its stress alone, so two tangents of all grains give the derivatives by
         all unknowns.
         """
 
         def evolve(temperature: jax.Array, stress: jax.Array) -> Fractions:
-            return self._mean_over_grains(self._evolve_fractions(first, state.fractions, temperature, stress))
+            return self._evolve_grains(first, state.fractions, temperature, stress)
 
-        at = jax.lax.stop_gradient((temperature, stress))
+        temperatures = self._grain_temperatures(temperature)
+        at = jax.lax.stop_gradient((temperatures, stress))
 
         def with_slopes(temperature: jax.Array, stress: jax.Array) -> tuple[Fractions, Fractions, Fractions]:
             value, tangent = jax.linearize(evolve, temperature, stress)
@@ -251,7 +252,8 @@ class StepEquations(PlantStages):
             return value, tangent(ones(temperature), zeros(stress)), tangent(*by_stress) if has_unknown else no_slope
 
         value, by_temperature, by_stress = jax.lax.stop_gradient(with_slopes(*at))
-        moved = temperature - at[0], self._per_cell(stress - at[1])
-        return Fractions(
+        moved = temperatures - at[0], self._for_grains(self._per_cell(stress - at[1]))
+        evolved = Fractions(
             *(v + t * moved[0] + s * moved[1] for v, t, s in zip(value, by_temperature, by_stress, strict=True))
         )
+        return self._mean_over_grains(evolved)

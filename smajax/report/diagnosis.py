@@ -15,6 +15,7 @@ from smajax.diagnosis.nonparametric import FreeHeat, FreeShift, FreeStrain
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.residual_checks import ResidualStatistics
 from smajax.diagnosis.result import Diagnosis, EffectEstimate
+from smajax.diagnosis.selection_state import Support
 from smajax.files.documents import finite_or_none
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis_summary import sentences
@@ -55,6 +56,9 @@ def diagnosis_document(
         "verdict": diagnosis.verdict,
         "effects": list(diagnosis.effects),
         "equivalent": {key: list(keys) for key, keys in diagnosis.equivalent.items()},
+        "structure": _structure_entry(diagnosis),
+        "support": [_support_entry(s) for s in diagnosis.supports if s.key in diagnosis.effects],
+        "candidates": [_support_entry(s) for s in diagnosis.supports if s.key not in diagnosis.effects],
         "unresolved_stage": diagnosis.unresolved_stage,
         "interrupted": diagnosis.interrupted,
         "summary": "",
@@ -84,6 +88,18 @@ def diagnosis_document(
     }
     document["summary"] = " ".join(sentences(document))
     return DiagnosisDocument.check(document)
+
+
+def _structure_entry(diagnosis: Diagnosis) -> dict[str, Any]:
+    structure = diagnosis.structure
+    errors = {variant: finite_or_none(error) for variant, error in structure.errors.items()}
+    counts = {"cells": structure.cells, "grains": structure.grains}
+    return {"variant": structure.variant} | counts | {"select_error_over_noise": errors}
+
+
+def _support_entry(support: Support) -> dict[str, Any]:
+    ends = [finite_or_none(end) for end in support.cut]
+    return {"key": support.key, "explains": finite_or_none(support.share), "cut_95_over_noise": ends}
 
 
 def _failure_entries(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> list[dict[str, str]]:
@@ -145,7 +161,7 @@ def _ranking(diagnosis: Diagnosis, recording: Recording) -> list[dict[str, Any]]
     for summary in diagnosis.ranking:
         key, strength, low, high = summary.detectability.key, summary.strength, summary.lower95, summary.upper95
         name = f"effects.{key}.strength"
-        if key in diagnosis.effects:
+        if name in diagnosis.after.values:
             strength = diagnosis.after.values[name]
             low, high = diagnosis.intervals.get(name, (None, None))
         entry = {

@@ -8,6 +8,8 @@ from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 
 Document = Mapping[str, Any]
+# Effects that stand for cells and grains.
+STRUCTURE_KEYS = ("end-conduction", "gradual-transformation")
 
 
 def sentences(doc: Document) -> list[str]:
@@ -16,7 +18,10 @@ def sentences(doc: Document) -> list[str]:
     Args:
         doc: The document diagnosis.json.
     """
-    lines = [sentence for key in doc["effects"] for sentence in _effect_sentences(doc, key)]
+    lines = _structure_sentences(doc)
+    in_structure = {key for key in doc["effects"] if lines and key in STRUCTURE_KEYS}
+    lines += [sentence for key in doc["effects"] if key not in in_structure for sentence in _effect_sentences(doc, key)]
+    lines += _candidate_sentences(doc)
     if unexplained := _verdict_sentence(doc):
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
@@ -69,6 +74,39 @@ def significant(value: float | None, digits: int = 3) -> str:
         digits: Number of significant digits.
     """
     return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _structure_sentences(doc: Document) -> list[str]:
+    """Sentences about the structure of the wire; none if it needs neither cells nor grains."""
+    entry = doc.get("structure")  # absent in documents of earlier versions
+    if entry is None or entry["variant"] == "neither":
+        return []
+    parts = {
+        "cells": f"cold ends (end-conduction: {entry['cells']} cells along it)",
+        "grains": f"grains that transform one after the other (gradual-transformation: {entry['grains']} grains)",
+    }
+    found = [text for part, text in parts.items() if entry["variant"] in (part, "both")]
+    errors = entry["select_error_over_noise"]
+    before, after = (significant(errors[variant]) for variant in ("neither", entry["variant"]))
+    return [
+        f"The wire has {' and '.join(found)}: the error on the selection recording falls from {before} to {after} "
+        "times the noise."
+    ]
+
+
+def _candidate_sentences(doc: Document) -> list[str]:
+    """Sentences that say how much each effect explains, and which effects are candidates only."""
+    lines = [
+        f"{entry['key']} explains {100.0 * entry['explains']:.0f} % of the excess over the noise that is left without it."
+        for entry in doc.get("support", ())
+    ]
+    if candidates := doc.get("candidates", ()):
+        shares = (f"{entry['key']} ({100.0 * max(entry['explains'], 0.0):.0f} %)" for entry in candidates)
+        lines.append(
+            f"Candidates, which explain a part of the excess and may only absorb it: {', '.join(shares)}. The rig file "
+            "does not get them."
+        )
+    return lines
 
 
 def _effect_sentences(doc: Document, key: str) -> list[str]:

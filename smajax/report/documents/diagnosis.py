@@ -105,6 +105,29 @@ class RejectedEntry(Part):
     why: str = Field(description="the reason")
 
 
+class StructureEntry(Part):
+    """Structure of the wire: cells along it and grains in them."""
+
+    variant: Literal["neither", "cells", "grains", "both"] = Field(description="what the wire needs")
+    cells: int = Field(ge=1, description="number of cells; 1 for a wire of one temperature")
+    grains: int = Field(ge=1, description="number of grains in each cell; 1 for a law without spread")
+    select_error_over_noise: dict[Literal["neither", "cells", "grains", "both"], Number] = Field(
+        description="error on the selection recording relative to the noise, by variant, with the same effects; empty "
+        "if the question was not asked, since the fit is near the noise or the rig file has cells or grains"
+    )
+
+
+class SupportEntry(Part):
+    """Evidence of an effect on the selection recording."""
+
+    key: str = Field(description="key of the effect")
+    explains: Number = Field(description="share of the excess mean square over the noise, without it, from 0 to 1")
+    cut_95_over_noise: Ends = Field(
+        description="95 % interval of the fall of the error, relative to the noise; null if there is no prediction "
+        "without it"
+    )
+
+
 class HoldoutEntry(Part):
     """Part of the holdout in the choice of the effects."""
 
@@ -192,6 +215,16 @@ class DiagnosisDocument(Document):
     effects: list[str] = Field(description="keys of the accepted effects, in order")
     equivalent: dict[str, list[str]] = Field(
         description="by accepted effect: the effects from which the recordings cannot distinguish it"
+    )
+    structure: StructureEntry | None = Field(
+        None, description="structure of the wire, which the effects name as well; absent in earlier documents"
+    )
+    support: list[SupportEntry] = Field(
+        [], description="evidence for the accepted effects; absent in earlier documents"
+    )
+    candidates: list[SupportEntry] = Field(
+        [],
+        description="effects that explain a part only, so that the rig may have them; absent in earlier documents",
     )
     unresolved_stage: Stage | None = Field(description="stage that the remaining residual looks most like")
     interrupted: bool = Field(False, description="whether the diagnosis was stopped before its end")

@@ -1,0 +1,290 @@
+"""The structure of the wire: whether a rig needs cold ends (cells), a spread of its grains, both, or neither.
+
+Cells and grains belong together: each alone explains less than half of what both explain. They are therefore one
+candidate, fitted from several positive starts, since at a spread of 0 the derivative is 0. All variants run on one
+compiled program: the spreads of grains are held at 0 where there is one grain, and the conductivity along the wire is
+held near 0 where there are no cells.
+"""
+
+import copy
+import dataclasses
+import math
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.diagnosis.acceptance import MIN_SELECT_CUT
+from smajax.diagnosis.bootstrap import bootstrap_cut
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
+from smajax.diagnosis.candidates import CandidateFit, EffectSet
+from smajax.diagnosis.data_split import SELECT, TRAIN
+from smajax.diagnosis.memory import diagnosis_memory
+from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.selection_state import SelectionState
+from smajax.fitting.memory import free_memory
+from smajax.plant.cells import Cells
+from smajax.plant.effects.end_conduction import EndConduction
+from smajax.plant.effects.gradual_transformation import GradualTransformation
+from smajax.plant.effects.temperature_distribution import TemperatureDistribution
+from smajax.plant.grains import Grains
+from smajax.plant.plant import Plant
+
+# Cells along the wire and grains in each: with more of them the fits of experiments/diagnosis/rough_rigs.py differ by
+# less than the noise, and cost more (experiments/speed/cells_and_grains.py).
+CELLS = 7
+GRAINS = 5
+# The variants of the structure, the simplest first, and the effects that stand for each in a list of effects.
+VARIANTS: Mapping[str, tuple[str, ...]] = {
+    "neither": (),
+    "cells": (EndConduction.key,),
+    "grains": (GradualTransformation.key,),
+    "both": (EndConduction.key, GradualTransformation.key),
+}
+# Effects of the catalogue that are approximations of cells or grains.
+APPROXIMATIONS = (EndConduction.key, TemperatureDistribution.key, GradualTransformation.key)
+SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
+# Conductivity along the wire of the variant without cells, the lower bound of the parameter, W/m/K.
+_INSULATING = {"cells.conductivity": 1e-3}
+# Reduced chi-squared of training or selection split from which on the structure is asked for: 1.5 times the noise.
+# Chosen by trial.
+_ASK_FROM = 2.25
+# Start values of both spreads. Chosen by trial: fits from there end at the same cost on most rough rigs.
+_START_SPREADS = (0.7, 0.35)
+# Number of effects of the first round, those with the least errors on the selection split, and those with the largest
+# scores, that are candidates next to the structure. More of them make each derivative more expensive. Chosen by trial.
+_BEST_REFITS = 4
+_BEST_SCORES = 2
+# Number of steps of each search from a start, and of the best one after that, with the relative fall of the cost at
+# which it ends. Chosen by trial.
+_START_STEPS = 10
+_STEPS = 25
+_RTOL = 1e-5
+
+
+class Structure(NamedTuple):
+    """The structure of the wire that a diagnosis found.
+
+    Attributes:
+        variant: A key of ``VARIANTS``.
+        cells: Number of cells, 1 without.
+        grains: Number of grains, 1 without.
+        errors: RMSE of the selection split over the noise by variant, each fitted to the training split with the same
+            effects; empty if the structure was not asked for.
+    """
+
+    variant: str = "neither"
+    cells: int = 1
+    grains: int = 1
+    errors: Mapping[str, float] = {}
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Keys of the effects that stand for the structure."""
+        return VARIANTS[self.variant]
+
+
+# A wire of one temperature and one grain.
+UNIFORM = Structure()
+
+
+def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool:
+    """Return whether the structure of the wire is worth a question.
+
+    It is not where the rig file has cells or grains, the fit is near the noise, the diagnosis was stopped, each
+    recording has own parameters, or the memory is not enough.
+
+    Args:
+        problem: The diagnosis problem of a rig without structure.
+        state: The state at the end of its forward selection.
+    """
+    plant = problem.base_problem.plant
+    if plant.cells is not None or plant.grains is not None or problem.own_count or state.interrupted:
+        return False
+    if max(state.current.train_chi2, state.current.select_chi2) < _ASK_FROM:
+        return False
+    recordings = [r for split in problem.splits for r in split.recordings]
+    _, memory = diagnosis_memory(with_structure(plant), recordings, **problem.grid_options)
+    return memory < free_memory()
+
+
+def with_structure(plant: Plant) -> Plant:
+    """Return a plant with cells, unless its temperature is prescribed, and grains.
+
+    Args:
+        plant: A plant without either.
+    """
+    cells = None if plant.drive.control is None else Cells(count=CELLS)
+    spreads = (jnp.asarray(_START_SPREADS[0]),) * 2
+    return dataclasses.replace(plant, cells=cells, grains=Grains(*spreads, count=GRAINS))
+
+
+def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
+    """Build the problem of the same rig with cells and grains, whose spreads are free, and with few candidates.
+
+    Args:
+        problem: The problem without structure.
+        state: The state at the end of its forward selection, whose best effects are the candidates.
+    """
+    settings = dataclasses.replace(problem.settings, free=(*problem.settings.free, *SPREADS))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    plant = with_structure(problem.base_problem.plant)
+    structured = DiagnosisProblem(
+        plant, problem.splits, settings, **problem.grid_options, candidates=candidate_keys(state)
+    )
+    structured.set_noise(problem.noise)
+    return structured
+
+
+def candidate_keys(state: SelectionState) -> tuple[str, ...]:
+    """Return the effects that are tried next to the structure: accepted ones, and the best of the first round.
+
+    Args:
+        state: The state at the end of the forward selection without structure.
+    """
+    tried = [key for fit in state.accepted_fits for key in fit.keys]
+    refits = {k: s.refit_rmse_select for k, s in state.ranking.items() if s.refit_rmse_select is not None}
+    scores = {k: s.gain for k, s in state.ranking.items() if s.gain}
+    tried += _without_approximations(sorted(refits, key=lambda k: refits[k]))[:_BEST_REFITS]
+    tried += _without_approximations(sorted(scores, key=lambda k: -scores[k]))[:_BEST_SCORES]
+    return tuple(dict.fromkeys(_without_approximations(tried)))
+
+
+def _without_approximations(keys: Collection[str]) -> list[str]:
+    return [key for key in keys if key not in APPROXIMATIONS]
+
+
+def holding(problem: DiagnosisProblem, values: Mapping[str, float]) -> DiagnosisProblem:
+    """Return a problem with parameters of the plant held; it runs on the same compiled programs.
+
+    Args:
+        problem: The problem.
+        values: Values by name, SI.
+    """
+    unknowns = problem.problems[TRAIN].unknowns
+    names = [unknown.name for unknown in unknowns]
+    held = problem.with_plant_values({name: v for name, v in values.items() if name not in names})
+    held = copy.copy(problem) if held is problem else held
+    held.nominal, (lower, upper) = problem.nominal.copy(), (side.copy() for side in problem.bounds)
+    for name in set(names) & values.keys():
+        i = names.index(name)
+        held.nominal[i] = lower[i] = upper[i] = values[name] / unknowns[i].scale
+    held.bounds = (lower, upper)
+    return held
+
+
+def held_values(variant: str, has_cells: bool) -> dict[str, float]:
+    """Return the parameters that are held in a variant, SI by name.
+
+    Args:
+        variant: A key of ``VARIANTS``.
+        has_cells: Whether the problem has cells.
+    """
+    values = dict.fromkeys(SPREADS, 0.0) if variant in ("neither", "cells") else {}
+    return values | (_INSULATING if has_cells and variant in ("neither", "grains") else {})
+
+
+def fit_with_structure(evaluator: CandidateEvaluator, effect_set: EffectSet, without: CandidateFit) -> CandidateFit:
+    """Fit a set of effects together with the structure, from several positive starts.
+
+    Args:
+        evaluator: The evaluator of the problem with structure.
+        effect_set: The effects, with start values of their parameters.
+        without: The fit without structure; the spreads follow its parameters in the base vector.
+
+    Returns:
+        The best fit to the training split.
+    """
+    problem, base = evaluator.problem, without.refit.base
+    starts = [problem.nominal, *(np.append(base, _spreads(problem, spread)) for spread in _START_SPREADS)]
+    stride = evaluator.stride(without.train_chi2)
+    free = tuple(problem.free_effect_parameters(effect_set))
+    searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
+    best = min(map_in_pairs(lambda s: s.advance(_START_STEPS), searches), key=lambda s: s.cost)
+    return evaluator.evaluate(problem.refit_from(evaluator.continue_if_needed(best.advance(_STEPS))))
+
+
+def refit(evaluator: CandidateEvaluator, fit: CandidateFit, effect_set: EffectSet) -> CandidateFit:
+    """Fit other effects next to the structure, from the point of a fit.
+
+    Args:
+        evaluator: The evaluator.
+        fit: The fit.
+        effect_set: The effects, with start values of their parameters.
+    """
+    start = np.clip(fit.refit.base, *evaluator.problem.bounds)
+    stride = evaluator.stride(fit.train_chi2)
+    return evaluator.evaluate(evaluator.fit(effect_set, start, stride, max_steps=_STEPS, rtol=_RTOL))
+
+
+def _spreads(problem: DiagnosisProblem, value: float) -> np.ndarray:
+    """Entries of both spreads in the base vector."""
+    return np.array([value / u.scale for u in problem.problems[TRAIN].unknowns if u.name in SPREADS])
+
+
+def compare_variants(
+    evaluator: CandidateEvaluator, current: CandidateFit
+) -> tuple[Structure, CandidateEvaluator, CandidateFit]:
+    """Fit every variant with the same effects and choose the simplest one that predicts as well as the best.
+
+    Args:
+        evaluator: The evaluator of the problem with structure.
+        current: Its fit.
+
+    Returns:
+        The structure, and the evaluator and the fit of its variant.
+    """
+    problem = evaluator.problem
+    has_cells = problem.base_problem.plant.cells is not None
+    variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
+    fits: dict[str, tuple[CandidateEvaluator, CandidateFit]] = {variants[-1]: (evaluator, current)}
+    for variant in variants[:-1]:
+        held = evaluator.on(holding(problem, held_values(variant, has_cells)))
+        fits[variant] = held, refit(held, current, current.refit.effect_set)
+    errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
+    best = min(errors, key=lambda v: errors[v])
+    chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))
+    cells, grains = (CELLS if "cells" in _parts(chosen) else 1), (GRAINS if "grains" in _parts(chosen) else 1)
+    return Structure(chosen, cells, grains, errors), *fits[chosen]
+
+
+def _parts(variant: str) -> tuple[str, ...]:
+    return ("cells", "grains") if variant == "both" else (variant,)
+
+
+def clearly_better(
+    evaluator: CandidateEvaluator, fit: CandidateFit, other_evaluator: CandidateEvaluator, other: CandidateFit
+) -> bool:
+    """Return whether another fit predicts the selection split better: by at least 5 %, and by more than chance.
+
+    Args:
+        evaluator: The evaluator of the first fit.
+        fit: The first fit.
+        other_evaluator: The evaluator of the other fit.
+        other: The other fit.
+    """
+    if not math.isfinite(other.select_chi2):
+        return False
+    if not math.isfinite(fit.select_chi2):
+        return True
+    residuals = [
+        e.problem.counted_samples(e.problem.predict(f.refit.effect_set, f.refit.base, SELECT), SELECT)
+        for e, f in ((evaluator, fit), (other_evaluator, other))
+    ]
+    cut = 1.0 - math.sqrt(other.select_chi2 / fit.select_chi2)
+    return cut >= MIN_SELECT_CUT and bootstrap_cut(residuals[0], residuals[1], evaluator.seed)[0] > 0.0
+
+
+def structured_plant(plant: Plant, structure: Structure) -> Plant:
+    """Return a fitted plant with the parts of its structure only.
+
+    Args:
+        plant: The fitted plant, with cells and grains.
+        structure: The structure that was found; if it was not asked for, the plant stays as it is.
+    """
+    if not structure.errors:
+        return plant
+    cells = plant.cells if structure.cells > 1 else None
+    grains = plant.grains if structure.grains > 1 else None
+    return dataclasses.replace(plant, cells=cells, grains=grains)

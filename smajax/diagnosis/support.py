@@ -1,0 +1,100 @@
+"""Facts and candidates: which accepted effects a rig is said to have.
+
+An effect that absorbs a part of a background, which no effect of the catalogue matches, may be accepted for its better
+prediction. It is called a fact only if the accepted effects explain at least half of the excess mean square of the
+selection split, by more than chance, and each of them explains a large share of what the others leave. Otherwise it is
+a candidate: the rig may have it, and its strength describes what it absorbs.
+"""
+
+from smajax.diagnosis.acceptance import Rejection, RejectionCode
+from smajax.diagnosis.bootstrap import bootstrap_cut
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
+from smajax.diagnosis.candidates import CandidateFit
+from smajax.diagnosis.data_split import SELECT
+from smajax.diagnosis.selection_state import SelectionState, Support
+
+# Least share of the excess mean square of the selection split that the facts explain together: more than all else.
+MIN_FACT_SHARE = 0.5
+# Least share of the excess without it that each of several facts explains. Chosen by trial on the odd seeds of
+# experiments/diagnosis/rough_rigs.py.
+MIN_MEMBER_SHARE = 1.0 / 3.0
+
+
+def judge_effects(evaluator: CandidateEvaluator, state: SelectionState) -> None:
+    """Separate the accepted effects into facts, which stay accepted, and candidates, which do not.
+
+    Args:
+        evaluator: The evaluator of the last fit.
+        state: The state at the end of the selection, which is changed: ``supports`` gets the evidence, facts first.
+    """
+    candidates: list[Support] = []
+    while state.accepted and not state.current.at_noise:
+        weakest = min((_support(evaluator, state, key) for key in state.accepted), key=lambda s: s.share)
+        if _are_facts(evaluator, state, weakest):
+            break
+        candidates.append(weakest)
+        state.rejected.append(Rejection(weakest.key, RejectionCode.little_explained, weakest.share))
+        state.current = _without(evaluator, state, weakest.key)
+        state.equivalent.pop(weakest.key, None)
+    facts = [_support(evaluator, state, key)._replace(is_fact=True) for key in state.accepted]
+    state.supports = (*facts, *reversed(candidates))
+
+
+def _are_facts(evaluator: CandidateEvaluator, state: SelectionState, weakest: Support) -> bool:
+    """Whether the accepted effects explain enough together, and the weakest of several next to the others."""
+    together = compare(evaluator, "", state.base_fit, state.current)
+    if min(together.share, state.explained) < MIN_FACT_SHARE or together.cut[0] <= 0.0:
+        return False
+    return len(state.accepted) == 1 or (weakest.share >= MIN_MEMBER_SHARE and not weakest.cut[0] <= 0.0)
+
+
+def explains_enough(evaluator: CandidateEvaluator, state: SelectionState, before: CandidateFit) -> bool:
+    """Return whether the effect that was accepted last explains so much that a further one can be looked for.
+
+    Args:
+        evaluator: The evaluator of the last fit.
+        state: The state of the selection.
+        before: The fit without the effect.
+    """
+    least = MIN_MEMBER_SHARE if before.keys else MIN_FACT_SHARE
+    return compare(evaluator, state.current.key, before, state.current).share >= least
+
+
+def _support(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> Support:
+    """The evidence for one of the accepted effects, next to the others."""
+    return compare(evaluator, key, _without(evaluator, state, key), state.current)
+
+
+def compare(evaluator: CandidateEvaluator, key: str, without: CandidateFit, fit: CandidateFit) -> Support:
+    """Compare the predictions of the selection split by two fits.
+
+    Args:
+        evaluator: The evaluator of both.
+        key: Key of the effect that only the second one has.
+        without: The first fit.
+        fit: The second fit.
+
+    Returns:
+        The evidence for the effect, as that of a candidate.
+    """
+    problem = evaluator.problem
+    residuals = [
+        problem.counted_samples(problem.predict(f.refit.effect_set, f.refit.base, SELECT), SELECT)
+        for f in (without, fit)
+    ]
+    excess, remaining = (max(f.select_chi2 - 1.0, 1e-9) for f in (without, fit))
+    return Support(key, 1.0 - remaining / excess, bootstrap_cut(*residuals, evaluator.seed), False)
+
+
+def _without(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> CandidateFit:
+    """The fit without one of the accepted effects."""
+    refit = state.current.refit
+    remaining = refit.effect_set.without(key)
+    if not remaining.keys:
+        return state.base_fit
+    earlier = [fit for fit in state.accepted_fits if set(fit.keys) == set(remaining.keys)]
+    if earlier:
+        return earlier[0]
+    fit = evaluator.evaluate(evaluator.fit(remaining, refit.base, evaluator.stride(state.current.train_chi2)))
+    state.accepted_fits.append(fit)
+    return fit
