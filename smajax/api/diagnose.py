@@ -62,6 +62,22 @@ class DiagnosisStudy(Study):
         return {channel: dict(entry) for channel, entry in self.document["rmse"].items()}
 
     @property
+    def structure(self) -> str:
+        """What the wire needs: "neither", "cells", "grains" or "both"; "neither" where it was not asked."""
+        entry = self.document.get("structure")  # absent in documents of earlier versions
+        return entry["variant"] if entry else "neither"
+
+    @property
+    def candidates(self) -> tuple[str, ...]:
+        """Keys of the effects that explain a part only: the rig may have them, and its file does not get them."""
+        return tuple(entry["key"] for entry in self.document.get("candidates", ()))
+
+    @property
+    def error_budget(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Errors by what was added to the model, then by channel, from a naive forecast to all effects."""
+        return {entry["added"]: dict(entry["channels"]) for entry in self.document.get("error_budget", ())}
+
+    @property
     def rig(self) -> Rig:
         """The rig with its effects and estimates."""
         return self._rig("rig-diagnosed.toml")

@@ -33,7 +33,7 @@ class RejectionCode(enum.StrEnum):
     zero = "zero"  # has a strength of 0
     unneeded = "unneeded"  # the other effects explain the recordings as well
     swapped = "swapped"  # another effect explains more together with the others
-    little_explained = "little-explained"  # all accepted effects together explain too little
+    little_explained = "little-explained"  # explains too little: a candidate
     holdout = "holdout"  # the accepted effects do not reduce the error on the holdout
 
 

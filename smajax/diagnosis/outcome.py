@@ -11,6 +11,7 @@ from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
+from smajax.diagnosis.error_budget import BudgetEntry, error_budget, first_half
 from smajax.diagnosis.forward_selection import select_effects
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.localisation import most_likely_stage
@@ -55,7 +56,8 @@ def diagnose(
        noise remains, reject them if they do not improve the holdout. Only then has the holdout a part in the choice of
        the effects (``Diagnosis.holdout_decided``).
     4. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
-    5. Locate an unexplained residual (``localisation``), and propose an input that distinguishes equivalent effects.
+    5. Locate an unexplained residual (``localisation``), and, on a wire of one cell, find its form and propose an input
+       that distinguishes equivalent effects.
 
     Args:
         problem: The diagnosis problem, with three splits for training, selection and holdout.
@@ -90,15 +92,19 @@ def diagnose(
         structure = UNIFORM._replace(errors=structure.errors)
         state.base_fit = state.current = without.base_fit
     stage = term = experiment = None
+    budget: tuple[BudgetEntry, ...] = ()
     unexplained = verdict in ("unresolved", "partial")
     try:
+        if may_continue("adding up the errors"):
+            budget = error_budget(rig, evaluator, state, structure, before, after)
         if unexplained and may_continue("searching for the stage that the residual comes from"):
-            stage, term = _locate_residual(evaluator, state)
-        if verdict not in ("named", "nothing-missing") and may_continue("designing the next experiment"):
+            stage, term = _locate_residual(evaluator, state, structure)
+        asks = verdict not in ("named", "nothing-missing") and not structure.effects
+        if asks and may_continue("designing the next experiment"):
             experiment = propose_experiment(evaluator.problem, state.current.refit, _rivals(state), seed)
-    except KeyboardInterrupt:  # the effects are a result without these two
+    except KeyboardInterrupt:  # the effects are a result without these
         state.interrupted = True
-    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided, structure)
+    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided, structure, budget)
     return summarise(evaluator, state, before, after, conclusion, without=rig)
 
 
@@ -138,6 +144,8 @@ def improves_holdout(
 ) -> bool:
     """Return whether the RMSE of the holdout falls significantly in any channel, or only the effects predict it at all.
 
+    The first half of its samples decides, so that the second one can be used for intervals (``error_budget``).
+
     Args:
         evaluator: The evaluator, whose seed the bootstrap uses.
         before: The fit without effects.
@@ -148,8 +156,9 @@ def improves_holdout(
     residuals, statuses = zip(*(e.problem.report(refit, HOLDOUT) for e, refit in pairs), strict=True)
     if statuses[1] is not SimulationStatus.done:
         return False
-    without, with_effects = (problem.series(residual, HOLDOUT) for residual in residuals)
-    return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
+    series = [problem.series(residual, HOLDOUT) for residual in residuals]
+    halves = {c: [first_half(by_channel[c]) for by_channel in series] for c in problem.channels}
+    return any(not bootstrap_cut(*pair, evaluator.seed)[0] <= 0.0 for pair in halves.values())
 
 
 def classify_outcome(
@@ -253,7 +262,7 @@ def _drop_absent(evaluator: CandidateEvaluator, state: SelectionState, key: str)
 
 
 def _locate_residual(
-    evaluator: CandidateEvaluator, state: SelectionState
+    evaluator: CandidateEvaluator, state: SelectionState, structure: Structure
 ) -> tuple[str | None, NonparametricFit | None]:
     """The stage that the unexplained residual comes from, and its form.
 
@@ -264,10 +273,12 @@ def _locate_residual(
     if state.accepted and state.current.train_chi2 < state.acceptable_chi2:
         return evaluator.problem.effects[state.current.key].stage, None
     scores = evaluator.scores(refit)
-    shares = evaluator.stage_shares(refit, scores) if state.accepted else state.stage_shares
+    shares = evaluator.stage_shares(refit, scores) if state.accepted or structure.effects else state.stage_shares
     stage = most_likely_stage(shares)
     if stage is None:
         return None, None
+    if structure.effects:  # each derivative takes too long for a term of several nodes
+        return stage, None
     stride = evaluator.stride(state.current.train_chi2)
     return stage, fit_nonparametric_term(evaluator.problem, refit, scores.basis, scores.residual, stage, stride)
 

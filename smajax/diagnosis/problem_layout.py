@@ -1,9 +1,8 @@
 """The recordings of a diagnosis on grids of one shape: one fit problem, divided into one for each split."""
 
-import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -131,14 +130,10 @@ class GriddedSplits:
         self.problems = [with_weights(p, rows, self.noise) for p, rows in zip(self.problems, self._rows, strict=True)]
         self._strided: dict[int, Problem] = {}
 
-    def with_plant_values(self, values: Mapping[str, float]) -> Self:
-        """Return the splits with other values, SI, of parameters of the plant that are not free."""
-        changed = copy.copy(self)
-        changed.problems = [
-            dataclasses.replace(p, plant=parameters.replace(p.plant, dict(values))) for p in self.problems
-        ]
-        changed._strided = {}
-        return changed
+    def set_plant_values(self, values: Mapping[str, float]) -> None:
+        """Set parameters of the plant that are not free, SI by name."""
+        self.problems = [dataclasses.replace(p, plant=parameters.replace(p.plant, dict(values))) for p in self.problems]
+        self._strided = {}
 
     @property
     def samples(self) -> int:

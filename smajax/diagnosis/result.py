@@ -13,6 +13,7 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
 from smajax.diagnosis.detectability import Detectability, detectability_from_score
+from smajax.diagnosis.error_budget import BudgetEntry
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.plausibility import implausible_estimates
@@ -40,6 +41,7 @@ class Conclusion:
         next_experiment: The input to run next.
         holdout_decided: Whether the holdout decided that the effects stay, or that they were rejected.
         structure: The structure of the wire.
+        error_budget: Errors by what was added to the model.
     """
 
     verdict: str
@@ -48,6 +50,7 @@ class Conclusion:
     next_experiment: NextExperiment | None = None
     holdout_decided: bool = False
     structure: Structure = UNIFORM
+    error_budget: tuple[BudgetEntry, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +124,7 @@ class Diagnosis:
         structure: The structure of the wire that was found.
         supports: Evidence for each effect that was accepted at first: facts, then candidates.
         plant: The plant of ``after``; ``None`` where it was not built.
+        error_budget: Errors by what was added to the model; empty if the diagnosis was stopped before.
     """
 
     verdict: str
@@ -152,6 +156,7 @@ class Diagnosis:
     structure: Structure = UNIFORM
     supports: tuple[Support, ...] = ()
     plant: Plant | None = None
+    error_budget: tuple[BudgetEntry, ...] = ()
 
 
 def summarise(
@@ -222,6 +227,7 @@ def summarise(
         implausible=implausible_estimates(problem, after),
         structure=structure,
         supports=state.supports,
+        error_budget=conclusion.error_budget,
         plant=structured_plant(problem.fitted_plant(after), structure),
     )
 

@@ -164,8 +164,8 @@ def holding(problem: DiagnosisProblem, values: Mapping[str, float]) -> Diagnosis
     """
     unknowns = problem.problems[TRAIN].unknowns
     names = [unknown.name for unknown in unknowns]
-    held = problem.with_plant_values({name: v for name, v in values.items() if name not in names})
-    held = copy.copy(problem) if held is problem else held
+    held = copy.copy(problem)
+    held.set_plant_values({name: value for name, value in values.items() if name not in names})
     held.nominal, (lower, upper) = problem.nominal.copy(), (side.copy() for side in problem.bounds)
     for name in set(names) & values.keys():
         i = names.index(name)

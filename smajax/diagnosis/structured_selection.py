@@ -1,8 +1,8 @@
 """Selection of effects on a wire of cells and grains, after the selection without them.
 
 Where the effects that were selected on a wire of one cell and one grain leave more than noise, the wire may lack cells
-and grains. They are fitted with and without these effects. Where either fit improves, effects are selected again next
-to the structure, among the best of the first round.
+and grains. They are fitted together with those of these effects that are facts. Where that improves the fit, the facts
+stay; where there are none, the best effects of the first round are candidates next to the structure.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,6 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet
 from smajax.diagnosis.forward_selection import accept
 from smajax.diagnosis.plausibility import plausible_fits, refusal
-from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
     UNIFORM,
@@ -26,11 +25,8 @@ from smajax.diagnosis.structure import (
     structured_problem,
 )
 from smajax.diagnosis.successive_halving import successive_halving
-from smajax.diagnosis.support import explains_enough, judge_effects
+from smajax.diagnosis.support import judge_effects
 from smajax.progress import CallbackStop
-
-# Largest number of effects next to a structure: rigs of experiments/diagnosis/rough_rigs.py hide two at most.
-_MAX_EFFECTS = 2
 
 Selected = tuple[CandidateEvaluator, SelectionState, Structure]
 
@@ -50,42 +46,36 @@ def select_with_structure(
         The evaluator and the state of the structure that was found, and the structure; ``evaluator`` and ``state``
         themselves where the wire needs neither. The evidence for the effects is in the state.
     """
-    asks, selected = may_have_structure(evaluator.problem, state), state.current
+    asks = may_have_structure(evaluator.problem, state)
     judge_effects(evaluator, state)
     if not asks:
         return evaluator, state, UNIFORM
     try:
-        return _select(evaluator, state, selected, report_progress)
+        return _select(evaluator, state, report_progress)
     except (CallbackStop, KeyboardInterrupt):
         state.interrupted = True
         return evaluator, state, UNIFORM
 
 
-def _select(
-    evaluator: CandidateEvaluator,
-    state: SelectionState,
-    selected: CandidateFit,
-    report_progress: Callable[[str], object],
-) -> Selected:
-    """Decide; ``selected`` is the fit with facts and candidates, ``state`` has facts only."""
+def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progress: Callable[[str], object]) -> Selected:
     report_progress("fitting cells along the wire and grains in them")
     problem = structured_problem(evaluator.problem, state)
     structured = CandidateEvaluator(problem, evaluator.seed)
     first = problem.fit(EffectSet(), problem.nominal, max_steps=1)
     structured.base_refit(first.base, first.status)
-    base = fit_with_structure(structured, EffectSet(), state.base_fit)
-    fits = _fits_with_effects(problem, [*state.accepted_fits[:1], selected])
-    transferred = [fit_with_structure(structured, effect_set, fit) for fit, effect_set in fits]
-    pairs = [(state.base_fit, base), *zip((fit for fit, _ in fits), transferred, strict=True)]
-    improved = any(_improves(evaluator, without, structured, fit) for without, fit in pairs)
+    facts = state.current.refit.effect_set
+    for key in facts.keys:
+        facts = facts if key in problem.effects else facts.without(key)
+    fit = fit_with_structure(structured, facts, state.current)
     evaluator.problem.count_simulations(problem.simulations)
-    if not improved:
+    if not _improves(evaluator, state.current, structured, fit):
         return evaluator, state, UNIFORM
+    base = refit(structured, fit, EffectSet()) if facts.keys else fit
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
     )
     inner.stage_shares, inner.ranking = state.stage_shares, state.ranking
-    _run_rounds(structured, inner, transferred, report_progress)
+    _add_effects(structured, inner, fit, report_progress)
     judge_effects(structured, inner)
     if not clearly_better(evaluator, state.current, structured, inner.current):
         return evaluator, state, UNIFORM
@@ -99,17 +89,6 @@ def _select(
     return chosen, inner, structure
 
 
-def _fits_with_effects(problem: DiagnosisProblem, fits: Sequence[CandidateFit]) -> list[tuple[CandidateFit, EffectSet]]:
-    """Fits without structure, once for each set of effects, and their effects without the approximations of one."""
-    by_keys: dict[frozenset[str], tuple[CandidateFit, EffectSet]] = {}
-    for fit in fits:
-        effect_set = fit.refit.effect_set
-        for key in effect_set.keys:
-            effect_set = effect_set if key in problem.effects else effect_set.without(key)
-        by_keys.setdefault(frozenset(effect_set.keys), (fit, effect_set))
-    return [pair for keys, pair in by_keys.items() if keys]
-
-
 def _improves(
     evaluator: CandidateEvaluator, without: CandidateFit, structured: CandidateEvaluator, fit: CandidateFit
 ) -> bool:
@@ -117,36 +96,35 @@ def _improves(
     return fit.train_chi2 < without.train_chi2 and clearly_better(evaluator, without, structured, fit)
 
 
-def _run_rounds(
+def _add_effects(
     evaluator: CandidateEvaluator,
     state: SelectionState,
-    transferred: Sequence[CandidateFit],
+    fit: CandidateFit,
     report_progress: Callable[[str], object],
 ) -> None:
-    """Add effects while they explain most of the excess; those that were selected without structure compete as well."""
-    problem = evaluator.problem
-    for index in range(_MAX_EFFECTS):
-        current = state.current
-        if current.at_noise:
-            return
-        report_progress(f"round {index + 1} with cells and grains: fitting {len(problem.effects)} effects")
-        scores = evaluator.scores(current.refit)
-        candidates = [
-            Candidate(current.refit, key, score.strength, scores.shapes[key], score.gain)
-            for key, score in scores.best.items()
-            if score.gain > 0.0
-        ]
-        fits = successive_halving(evaluator, candidates)
-        fits += [fit for fit in transferred if set(current.keys) < set(fit.keys)]
-        fits = plausible_fits(problem, state, [f for f in fits if f.train_chi2 < current.train_chi2])
-        if not fits:
-            return
-        best = min(fits, key=lambda fit: fit.total_chi2)
-        best = refit(evaluator, best, best.refit.effect_set)
-        if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
-            state.rejected.append(reason)
-            return
-        accept(state, best, fits, problem.samples)
-        if not explains_enough(evaluator, state, current):
-            return
+    """Add the effects of a fit next to the structure; if it has none, the best of the candidates."""
+    problem, current, fits = evaluator.problem, state.current, [fit]
+    if current.at_noise:
+        return
+    if not fit.keys:
+        report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
+        fits = successive_halving(evaluator, _candidates(evaluator, current))
+    fits = plausible_fits(problem, state, [f for f in fits if f.train_chi2 < current.train_chi2])
+    best = min(fits, key=lambda f: f.total_chi2, default=None)
+    if best is None:
+        return
+    if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
+        state.rejected.append(reason)
+        return
+    accept(state, best, fits, problem.samples)
     drop_unneeded_effects(evaluator, state)
+
+
+def _candidates(evaluator: CandidateEvaluator, fit: CandidateFit) -> list[Candidate]:
+    """The effects that improve a fit to first order."""
+    scores = evaluator.scores(fit.refit)
+    return [
+        Candidate(fit.refit, key, score.strength, scores.shapes[key], score.gain)
+        for key, score in scores.best.items()
+        if score.gain > 0.0
+    ]

@@ -15,9 +15,11 @@ from smajax.diagnosis.selection_state import SelectionState, Support
 
 # Least share of the excess mean square of the selection split that the facts explain together: more than all else.
 MIN_FACT_SHARE = 0.5
-# Least share of the excess without it that each of several facts explains. Chosen by trial on the odd seeds of
-# experiments/diagnosis/rough_rigs.py.
-MIN_MEMBER_SHARE = 1.0 / 3.0
+# Least shares that each of several facts explains: of the excess without it, more than all else; and of the excess of
+# the model without effects, since next to a dominant effect others may absorb most of a small background. Chosen by
+# trial on the odd seeds of experiments/diagnosis/rough_rigs.py.
+MIN_MEMBER_SHARE = 0.5
+MIN_MEMBER_SHARE_OF_ALL = 0.05
 
 
 def judge_effects(evaluator: CandidateEvaluator, state: SelectionState) -> None:
@@ -45,19 +47,14 @@ def _are_facts(evaluator: CandidateEvaluator, state: SelectionState, weakest: Su
     together = compare(evaluator, "", state.base_fit, state.current)
     if min(together.share, state.explained) < MIN_FACT_SHARE or together.cut[0] <= 0.0:
         return False
-    return len(state.accepted) == 1 or (weakest.share >= MIN_MEMBER_SHARE and not weakest.cut[0] <= 0.0)
-
-
-def explains_enough(evaluator: CandidateEvaluator, state: SelectionState, before: CandidateFit) -> bool:
-    """Return whether the effect that was accepted last explains so much that a further one can be looked for.
-
-    Args:
-        evaluator: The evaluator of the last fit.
-        state: The state of the selection.
-        before: The fit without the effect.
-    """
-    least = MIN_MEMBER_SHARE if before.keys else MIN_FACT_SHARE
-    return compare(evaluator, state.current.key, before, state.current).share >= least
+    if len(state.accepted) == 1:
+        return True
+    excess, without, remaining = (
+        max(fit.select_chi2 - 1.0, 1e-9)
+        for fit in (state.base_fit, _without(evaluator, state, weakest.key), state.current)
+    )
+    shares = weakest.share >= MIN_MEMBER_SHARE and without - remaining >= MIN_MEMBER_SHARE_OF_ALL * excess
+    return shares and not weakest.cut[0] <= 0.0
 
 
 def _support(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> Support:

@@ -11,6 +11,7 @@ from smajax.diagnosis.acceptance import RejectionCode
 from smajax.diagnosis.auxiliary_channels import ChannelFault
 from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.diagnosis.detectability import Detectability
+from smajax.diagnosis.error_budget import BudgetEntry
 from smajax.diagnosis.nonparametric import FreeHeat, FreeShift, FreeStrain
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.residual_checks import ResidualStatistics
@@ -63,6 +64,7 @@ def diagnosis_document(
         "interrupted": diagnosis.interrupted,
         "summary": "",
         "rmse": rmse,
+        "error_budget": [_budget_entry(entry, recordings[0]) for entry in diagnosis.error_budget],
         "holdout": _holdout_entry(diagnosis),
         "effect_parameters": [_estimate_entry(estimate) for estimate in diagnosis.estimates],
         "failures": _failure_entries(diagnosis, recordings),
@@ -128,6 +130,20 @@ def _errors(diagnosis: Diagnosis, recording: Recording) -> tuple[dict[str, Any],
         value, source = diagnosis.noise[channel]
         noise_floor[channel] = {"value": finite_or_none(value, factor), "unit": unit, "from": source}
     return rmse, noise_floor
+
+
+def _budget_entry(entry: BudgetEntry, recording: Recording) -> dict[str, Any]:
+    channels = {}
+    for channel, errors in entry.errors.items():
+        unit, factor = difference_unit(recording, channel)
+        cut, last = entry.cut95.get(channel), entry.cut_if_last.get(channel)
+        channels[channel] = {
+            "unit": unit,
+            **{split: finite_or_none(error, factor) for split, error in errors.items()},
+            "holdout_cut_95": None if cut is None else [finite_or_none(end, factor) for end in cut],
+            "cut_if_last": None if last is None else {s: finite_or_none(v, factor) for s, v in last.items()},
+        }
+    return {"added": entry.added, "channels": channels}
 
 
 def _goodness_of_fit(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations  # plotly loads its classes when a figure is made
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
+from itertools import pairwise
 from typing import Any
 
 import plotly.graph_objects as go
 
-from smajax.report.figures import MEASURED, MODEL, Picture, axis_style, base_layout, noise_band
+from smajax.report.figures import (
+    INPUT,
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    Picture,
+    axis_style,
+    base_layout,
+    level_line,
+    noise_band,
+)
 
 _HEIGHT = 320
 # Units of the states of which a nonparametric term can be a function; times are in s.
@@ -52,3 +63,39 @@ def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
     caption = "The term that the stage lacks, as a function of the state. It describes what is missing, not its cause."
     title = f"Nonparametric term in the {term['stage']} stage"
     return Picture(title, caption, go.Figure([line], layout), _HEIGHT, wide=False)
+
+
+def budget_picture(channel: str, noise: float | None, entries: Sequence[Mapping[str, Any]]) -> Picture:
+    """Show the errors on the holdout as a waterfall, in the order in which things were added to the model.
+
+    Args:
+        channel: The channel.
+        noise: Its noise, in the unit; ``None`` if unknown.
+        entries: ``error_budget`` of diagnosis.json.
+    """
+    channels = [entry["channels"][channel] for entry in entries]
+    errors, unit = [c["holdout"] for c in channels], channels[0]["unit"]
+    names = [escape(entry["added"]) for entry in entries]
+    layout = base_layout()
+    layout["yaxis"] = axis_style(escape(f"error on the holdout [{unit}]")) | {"rangemode": "tozero"}
+    layout["xaxis"] = {"type": "category", "automargin": True}
+    layout["showlegend"] = False
+    falls = [None, None, *(b - a if None not in (a, b) else None for a, b in pairwise(errors[1:]))]
+    bars = go.Waterfall(
+        x=[*names, "all"],
+        y=[*errors[:2], *falls[2:], None],
+        measure=["absolute", "absolute", *["relative"] * (len(errors) - 2), "total"],
+        text=[*("-" if e is None else f"{e:.3g}" for e in errors), "-" if errors[-1] is None else f"{errors[-1]:.3g}"],
+        textposition="outside",
+        decreasing={"marker": {"color": INPUT}},
+        increasing={"marker": {"color": MODEL}},
+        totals={"marker": {"color": RESIDUAL}},
+        connector={"line": {"color": MEASURED, "width": 1}},
+    )
+    if noise is not None:
+        layout["shapes"] = [level_line(noise, "y", {"dash": "dot", "color": MEASURED, "width": 1.5})]
+    caption = (
+        "Error on the holdout of a naive forecast, the mean of the training recording; of the rig's own model; and "
+        "with each thing added in turn. The dotted line is the noise."
+    )
+    return Picture(f"Error budget of {channel}", caption, go.Figure([bars], layout), _HEIGHT, wide=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.report import pages
-from smajax.report.diagnosis_figures import autocorrelation_picture, nonparametric_picture
+from smajax.report.diagnosis_figures import autocorrelation_picture, budget_picture, nonparametric_picture
 from smajax.report.diagnosis_summary import Document, sentences, significant
 from smajax.report.figures import Picture
 from smajax.report.prediction import Series, split_label
@@ -40,6 +40,7 @@ def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, An
     unexplained = doc["verdict"] in ("partial", "unresolved")
     sections = [pages.verdict_section(sentences(doc), bad=unexplained)]
     sections += error_section(doc)
+    sections += budget_section(doc, pictures)
     sections += _residual_section(doc, pictures)
     sections += effects_section(doc)
     sections += _detectability_section(doc)
@@ -65,6 +66,39 @@ def error_section(doc: Document) -> list[str]:
     if doc["effects"]:
         sections.append(pages.bullets([_cut_sentence(doc, channel) for channel in doc["rmse"]]))
     return sections
+
+
+def budget_section(doc: Document, pictures: list[Picture]) -> list[str]:
+    """Return the error budget as a table and a figure of each channel; empty in documents without one.
+
+    Args:
+        doc: The document diagnosis.json.
+        pictures: The figures of the page, to which those of the budget are appended.
+    """
+    entries = doc.get("error_budget")  # absent in documents of earlier versions
+    if not entries:
+        return []
+    rows = []
+    for channel, floor in doc["noise_floor"].items():
+        for entry in entries:
+            errors = entry["channels"][channel]
+            cut, last = errors["holdout_cut_95"], errors["cut_if_last"]
+            rows.append(
+                (
+                    channel,
+                    entry["added"],
+                    *(significant(errors[name], 4) for name in SPLIT_NAMES),
+                    "-" if cut is None else f"{significant(cut[0])} to {significant(cut[1])}",
+                    "-" if last is None else significant(last["holdout"]),
+                    errors["unit"],
+                )
+            )
+        noise = significant(floor["value"], 4)
+        rows.append((channel, "noise", noise, noise, noise, "-", "-", floor["unit"]))
+    head = ("channel", "model with", *SPLIT_NAMES, "fall on the holdout, 95 %", "fall if added last", "unit")
+    sections = ["<h2>Error budget</h2>", pages.table(head, rows, numbers=(2, 3, 4))]
+    pictured = ((channel, floor["value"]) for channel, floor in doc["noise_floor"].items())
+    return sections + [pages.add_picture(budget_picture(c, noise, entries), pictures) for c, noise in pictured]
 
 
 def _cut_sentence(doc: Document, channel: str) -> str:

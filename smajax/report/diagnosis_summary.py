@@ -97,7 +97,7 @@ def _structure_sentences(doc: Document) -> list[str]:
 def _candidate_sentences(doc: Document) -> list[str]:
     """Sentences that say how much each effect explains, and which effects are candidates only."""
     lines = [
-        f"{entry['key']} explains {100.0 * entry['explains']:.0f} % of the excess over the noise that is left without it."
+        f"{entry['key']} explains {100.0 * entry['explains']:.0f} % of the excess over the noise without it."
         for entry in doc.get("support", ())
     ]
     if candidates := doc.get("candidates", ()):

@@ -29,8 +29,7 @@ def rejection_text(rejection: Rejection) -> str:
         RejectionCode.unneeded: "is no longer needed next to the other effects",
         RejectionCode.swapped: f"together with the other effects it explains less than {others}",
         RejectionCode.little_explained: (
-            f"the accepted effects together explain {percent:.0f} % of the excess over the noise, "
-            "too little for a cause"
+            f"explains {percent:.0f} % of the excess over the noise on the selection recording, too little for a cause"
         ),
         RejectionCode.holdout: "does not reduce the error on the holdout",
     }[rejection.code]

@@ -128,6 +128,37 @@ class SupportEntry(Part):
     )
 
 
+class SplitErrors(Part):
+    """Errors of a channel on the three recordings, in the unit."""
+
+    train: Number = Field(description="on the training recording")
+    select: Number = Field(description="on the selection recording")
+    holdout: Number = Field(description="on the holdout")
+
+
+class BudgetChannel(SplitErrors):
+    """Errors of a channel by one model."""
+
+    unit: str = Field(description="unit of the recording's column; K for temperatures")
+    holdout_cut_95: Ends | None = Field(
+        description="95 % interval of the fall of the error from the model before, on the second half of the holdout, "
+        "which had no part in any choice; null for the first two models"
+    )
+    cut_if_last: SplitErrors | None = Field(
+        description="fall of the error if this is added last; null for the first two models"
+    )
+
+
+class BudgetEntry(Part):
+    """Errors of one model, each with one thing more than the one before."""
+
+    added: str = Field(
+        description="naive: the mean of the training recording; base: the model of the rig file; structure: cells and "
+        "grains; else the key of an effect"
+    )
+    channels: dict[str, BudgetChannel] = Field(description="errors by channel")
+
+
 class HoldoutEntry(Part):
     """Part of the holdout in the choice of the effects."""
 
@@ -230,6 +261,11 @@ class DiagnosisDocument(Document):
     interrupted: bool = Field(False, description="whether the diagnosis was stopped before its end")
     summary: str = Field(description="the result in sentences")
     rmse: dict[str, ErrorEntry] = Field(description="errors by channel")
+    error_budget: list[BudgetEntry] = Field(
+        [],
+        description="errors by what was added to the model, each fitted to training and selection recording; empty if "
+        "the diagnosis was stopped before, absent in earlier documents",
+    )
     holdout: HoldoutEntry | None = Field(
         None, description="part of the holdout in the choice of the effects; absent in earlier documents"
     )

@@ -10,6 +10,7 @@ from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit
 from smajax.diagnosis.forward_selection import select_effects
 from smajax.diagnosis.outcome import diagnose
 from smajax.diagnosis.selection_state import SelectionState
+from smajax.diagnosis.structure import UNIFORM
 from smajax.errors import Cancelled
 from smajax.fitting.levenberg_marquardt import SolverStatus
 
@@ -78,15 +79,17 @@ def selected(rounds, monkeypatch):
     rounds.current = fit_of("creep")
     evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
-    monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
-    monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
+    monkeypatch.setattr(outcome, "select_with_structure", lambda evaluator, state, *_: (evaluator, state, UNIFORM))
+    monkeypatch.setattr(outcome, "_joint_refit", lambda problem, refit: refit)
+    monkeypatch.setattr(outcome, "_last_refit", lambda problem, state, *_: state.current.refit)
+    monkeypatch.setattr(outcome, "error_budget", lambda *_: ())
     monkeypatch.setattr(outcome, "absent_effects", lambda *_: ())
     monkeypatch.setattr(outcome, "_verdict", lambda *_: "partial")
     monkeypatch.setattr(outcome, "improves_holdout", lambda *_: True)
     monkeypatch.setattr(outcome, "_locate_residual", lambda *_: ("heat", None))
     monkeypatch.setattr(outcome, "_rivals", lambda *_: {})
     monkeypatch.setattr(outcome, "propose_experiment", lambda *_: None)
-    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: (after, conclusion))
+    monkeypatch.setattr(outcome, "summarise", lambda *arguments, without: arguments[3:])
     return rounds
 
 

@@ -21,6 +21,7 @@ from smajax.app.cli import app
 from smajax.diagnosis import next_experiment, residual_checks
 from smajax.diagnosis.acceptance import Rejection, RejectionCode, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
+from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet, Refit
 from smajax.diagnosis.confusable_effects import refit_confusable_effects, replacement_shapes
@@ -41,15 +42,14 @@ from smajax.diagnosis.outcome import (
     diagnose,
     first_predicting_refit,
     improves_holdout,
-    reject_if_little_explained,
 )
 from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
-from smajax.diagnosis.result import bootstrap_cut
 from smajax.diagnosis.screening import orthonormal_basis, p_value, project_out, score_test
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.step_errors import stride_error
 from smajax.diagnosis.successive_halving import trusted_candidate
+from smajax.diagnosis.support import judge_effects
 from smajax.errors import NumericsError
 from smajax.files.parameter_sets import Entry, write_parameters
 from smajax.files.rig_file import read_rig
@@ -792,6 +792,16 @@ def trial(keys, train, select):
     )
 
 
+# Predictions whose mean square is the reduced chi-squared of the fit.
+EVALUATOR = SimpleNamespace(
+    seed=0,
+    problem=SimpleNamespace(
+        predict=lambda effect_set, base, split: np.ones(200) * (0.1 if effect_set.keys else 1.0),
+        counted_samples=lambda residual, split: residual,
+    ),
+)
+
+
 def verdict_for(keys, train, select, holdout, equivalent, expected, joint=None):
     """The verdict for the reduced chi-squared of a fit on the three splits, where that of a perfect model is ``expected``.
 
@@ -801,7 +811,7 @@ def verdict_for(keys, train, select, holdout, equivalent, expected, joint=None):
     state = SelectionState(
         {}, {}, first, trial(keys, train, select), 1.05, {}, equivalent={k: equivalent for k in keys}
     )
-    reject_if_little_explained(state)
+    judge_effects(EVALUATOR, state)  # pyright: ignore[reportArgumentType]
     verdict = classify_outcome(state, (*(joint or (train, select)), holdout), expected)
     assert bool(state.accepted) == verdict.startswith(("named", "partial"))
     assert len(state.rejected) == (verdict == "unresolved" and bool(keys))
