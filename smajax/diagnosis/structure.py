@@ -138,11 +138,13 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
 
 
 def candidate_keys(state: SelectionState) -> tuple[str, ...]:
-    """Return the effects that are tried next to the structure: accepted ones, and the best of the first round.
+    """Return the effects that are tried next to the structure: the facts, or if there are none the best of round one.
 
     Args:
         state: The state at the end of the forward selection without structure.
     """
+    if state.accepted:
+        return tuple(_without_approximations(state.accepted))
     tried = [key for fit in state.accepted_fits for key in fit.keys]
     refits = {k: s.refit_rmse_select for k, s in state.ranking.items() if s.refit_rmse_select is not None}
     scores = {k: s.gain for k, s in state.ranking.items() if s.gain}

@@ -5,7 +5,7 @@ and grains. They are fitted together with those of these effects that are facts.
 stay; where there are none, the best effects of the first round are candidates next to the structure.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from smajax.diagnosis.acceptance import rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects
