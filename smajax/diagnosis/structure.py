@@ -258,7 +258,9 @@ def _parts(variant: str) -> tuple[str, ...]:
 def clearly_better(
     evaluator: CandidateEvaluator, fit: CandidateFit, other_evaluator: CandidateEvaluator, other: CandidateFit
 ) -> bool:
-    """Return whether another fit predicts the selection split better: by at least 5 %, and by more than chance.
+    """Return whether another fit predicts the selection split better by at least 5 %, and both splits beyond chance.
+
+    The errors of a rough rig lie in few short spans, so that the selection split alone says little about chance.
 
     Args:
         evaluator: The evaluator of the first fit.
@@ -271,7 +273,12 @@ def clearly_better(
     if not math.isfinite(fit.select_chi2):
         return True
     residuals = [
-        e.problem.counted_samples(e.problem.predict(f.refit.effect_set, f.refit.base, SELECT), SELECT)
+        np.concatenate(
+            [
+                e.problem.counted_samples(e.problem.predict(f.refit.effect_set, f.refit.base, k), k)
+                for k in (TRAIN, SELECT)
+            ]
+        )
         for e, f in ((evaluator, fit), (other_evaluator, other))
     ]
     cut = 1.0 - math.sqrt(other.select_chi2 / fit.select_chi2)
