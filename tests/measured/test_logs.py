@@ -127,9 +127,47 @@ def test_a_raw_log_of_a_force_sensor_is_fitted_and_another_is_forecast(shared, t
     assert simulated["temperature"] < simulated["before"]["temperature"]
 
 
+def test_an_effect_needs_a_fall_of_the_error_with_an_interval():
+    from experiments.measured.dongsus import fall, fall_interval
+
+    before = np.array([0.16, 0.09, 0.25, 0.16, 0.12, 0.2, 0.18])  # K^2, mean squared errors of blocks
+    low, high = fall_interval(before, 0.25 * before)
+    assert low < float(fall(before, 0.25 * before)) < high and low > 0.1
+    after = 0.3 * before
+    after[3] = 8.0 * before[3]  # one block gets much worse
+    low, high = fall_interval(before, after)
+    assert low < 0.0 < high
+
+
+def test_a_forecast_uses_no_reading_after_its_origin(shared):
+    import dataclasses
+
+    from experiments.measured import dongsus
+
+    parts = dongsus.read_parts(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv")
+    rig = dongsus.parse_rig(dongsus.RIG, "dongsus.toml")
+    fitter = dongsus.EffectFitter(rig, {}, dongsus.PRIOR_DEVIATION, [parts.fitted], dongsus.STEP)
+    base = fitter.fit(parts.fitted, (), dongsus.STARTS, dongsus.STEPS)[0]
+    temperature = parts.whole.channels["temperature"].copy()
+    temperature[parts.first + 3 :] += 5.0
+    channels = {**parts.whole.channels, "temperature": temperature}
+    changed = dataclasses.replace(parts, whole=dataclasses.replace(parts.whole, channels=channels))
+    few = np.arange(len(parts.held)) < parts.first + 5
+    series = []
+    for each in (parts, changed):
+        each = dataclasses.replace(each, held=parts.held & few)
+        series.append(dongsus.forecast_all(fitter, each, base).series)
+    np.testing.assert_array_equal(series[0][:4], series[1][:4])  # from rows before the fourth one
+    assert np.abs(series[0][4] - series[1][4]).max() > 0.01
+
+
 def test_a_raw_log_with_repeated_stamps_is_fitted(shared, tmp_path):
     rows = rows_of("measured/dongsus", tmp_path, str(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv"))
     assert "983 of 5491 rows in which time does not increase dropped" in rows["rows"]["measured"]
     assert rows["fitted half: simulation without readings"]["numbers"]["after"] < 0.5 * 0.246
-    errors = rows["held out: 10 s ahead"]["numbers"]
-    assert errors["model"] < min(errors["persistence"], errors["mean so far"])
+    selected = rows["effect 1: error of blocks left out"]
+    assert selected["numbers"]["fall"][0] > 0.0 and selected["measured"].endswith("accepted")
+    for what in ("the rest, from each row on", "1 s ahead", "5 s ahead", "10 s ahead"):
+        assert rows[f"held out: {what}"]["met"], what
+    for what in ("the rest, from each row on", "5 s ahead", "10 s ahead"):
+        assert rows[f"held out: {what}, naive forecasts"]["met"], what
