@@ -14,7 +14,7 @@ more than 5 %, by more than a tenth of the scatter of the steps, and with a 95 %
 The second half is held out. From each of its rows on, the rest is forecast by a fit of all rows before, as the naive
 forecasts use all rows before: the last reading, the mean so far, and a straight line through the last 10 s. There is a
 single cycle, so that none can be repeated. A forecast by one fit, of the first half, depends on where the half ends, so
-that its error is given beside those from later rows on. Last, the model is fitted to the whole heating, which shows
+that its error is given next to those from later rows on. Last, the model is fitted to the whole heating, which shows
 whether its equations or the data are what is missing.
 
 The wire stays below its transformation. Nothing but its heat balance can be fitted, up to one common factor of heat,
