@@ -107,7 +107,7 @@ class Parts:
     Attributes:
         whole: All rows.
         blocks: Number of the block that each row of the first half of the heating belongs to; -1 for other rows.
-        held: Whether a row is one of the second half.
+        held: Whether a row is one of the second half of the heating, or later.
         notes: Sentences on rows that were left out.
     """
 
@@ -152,7 +152,7 @@ def read_parts(path: Path) -> Parts:
     half = (heated[0] + heated[-1]) / 2
     blocks = np.floor((time - heated[0]) / ((half - heated[0]) / round((half - heated[0]) / BLOCK))).astype(int)
     blocks[(time < heated[0]) | (time >= half)] = -1
-    return Parts(whole, blocks, (time >= half) & (time <= heated[-1]), recording.notes)
+    return Parts(whole, blocks, time >= half, recording.notes)
 
 
 def block_errors(fitter: EffectFitter, parts: Parts, fitted: EffectFit) -> np.ndarray:

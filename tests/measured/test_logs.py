@@ -139,6 +139,24 @@ def test_an_effect_needs_a_fall_of_the_error_with_an_interval():
     assert low < 0.0 < high
 
 
+def test_a_log_that_cools_after_its_heating_is_held_out_to_its_end(tmp_path):
+    from experiments.measured.dongsus import Forecasts, read_parts
+
+    time = np.arange(0.0, 120.0, 0.1)
+    duty = np.where((time >= 10.0) & (time < 70.0), 10, 0)
+    heated = np.clip(time - 10.0, 0.0, 60.0)
+    temperature = 25.0 + 5.0 * (1.0 - np.exp(-heated / 20.0)) * np.exp(-np.clip(time - 70.0, 0.0, None) / 20.0)
+    rows = (f"{t:.2f},{round(4 * c) / 4},{d}" for t, c, d in zip(time, temperature, duty, strict=True))
+    (tmp_path / "log.csv").write_text("\n".join(["Time(sec),Temperature(C),PWM(%)", *rows]))
+    parts = read_parts(tmp_path / "log.csv")
+    assert parts.held[-1] and parts.whole.time[parts.first] == pytest.approx(40.0, abs=0.2)
+    assert parts.blocks.max() == 9 and not np.any(parts.held & (parts.blocks >= 0))
+    count = int(np.sum(parts.held))
+    series = np.arange(count)[:, None] + np.zeros(len(parts.whole))
+    ahead = Forecasts(series, ()).ahead(parts, 25)
+    np.testing.assert_array_equal(ahead, np.arange(count - 24))  # each by the fit of the rows up to 25 before
+
+
 def test_a_forecast_uses_no_reading_after_its_origin(shared):
     import dataclasses
 
