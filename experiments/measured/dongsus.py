@@ -31,6 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.arm_effects import HeatSoak
 from experiments.common.base import DATA, Row, arguments, finish, refuse, say
+from experiments.common.converter import step_row
 from experiments.common.effect_fit import NOMINAL_ALLOY, EffectFit, EffectFitter
 from experiments.common.forecasts import compare, naive_forecasts, rms
 
@@ -388,7 +389,8 @@ def main() -> None:
     fitter = EffectFitter(rig, {k: kinds[k] for k in candidates}, PRIOR_DEVIATION, [parts.fitted], STEP)
     rounds, base, best = search(fitter, parts, 1 if args.quick else MOST_EFFECTS)
     dropped = "; ".join(n for n in parts.notes if "dropped" in n) or "none left out"
-    rows = [Row("rows", "-", dropped, None), *rounds, *report_rows(fitter, parts, base, best)]
+    steps = step_row(parts.whole.time, parts.whole.channels["temperature"], parts.first, QUANTUM, "degC")
+    rows = [Row("rows", "-", dropped, None), steps, *rounds, *report_rows(fitter, parts, base, best)]
     finish(rows, args)
 
 

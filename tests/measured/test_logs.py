@@ -139,6 +139,17 @@ def test_an_effect_needs_a_fall_of_the_error_with_an_interval():
     assert low < 0.0 < high
 
 
+def test_steps_of_a_converter_that_never_occur_are_named():
+    from experiments.common.converter import step_row
+
+    values = np.array([20.0, 20.25, 20.25, 21.0, 21.0, 21.0, 21.5, 21.5])
+    row = step_row(0.2 * np.arange(8), values, 4, 0.25, "degC")
+    assert row.numbers == {"stay_s": pytest.approx(0.6), "absent": [20.5, 20.75, 21.25]}
+    assert row.measured == "the reading stays at 21 degC for 0.6 s there; steps that never occur: 20.5, 20.75, 21.25"
+    still = step_row(0.2 * np.arange(3), np.full(3, 20.0), 2, 0.25, "degC")
+    assert still.numbers["absent"] == [] and "for 0.4 s there; steps that never occur: none" in still.measured
+
+
 def test_a_log_that_cools_after_its_heating_is_held_out_to_its_end(tmp_path):
     from experiments.measured.dongsus import Forecasts, read_parts
 
