@@ -168,7 +168,8 @@ def predict_course(fitter: ArmFitter, logs: Sequence[Log], fit: ArmFit, course: 
     for log, (temperature, _) in zip(logs, predictions, strict=True):
         measured = np.where(course.refreshed, course.table[log.thermocouple], np.nan)
         on = float(np.sum(np.diff(course.time) * course.duty(log)[:-1]))
-        what = f"{log.thermocouple}, {log.duty_name} driven for {on:.2f} s of full duty"
+        driven = f"driven for {on:.2f} s of full duty" if log.duty_name in course.table else "not in this log"
+        what = f"{log.thermocouple}, {log.duty_name} {driven}"
         pairs.append((measured, temperature))
         rows.append(error_row(what, pairs[-1:], "K"))
     rows.append(error_row("all thermocouples", pairs, "K"))

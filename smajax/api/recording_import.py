@@ -22,6 +22,8 @@ from smajax.report.recording_import import import_summary
 
 # What decides a doubt: it gets the question and returns an answer, or None for the choice of the question.
 Ask = Callable[[Question], str | None]
+# The choice that leaves a value to the fit.
+_FITTED = "fitted"
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -200,8 +202,10 @@ def _kind_question(draft: RigDraft, check: Callable[[str], object]) -> Question:
 def _value_question(assumption: Assumption, check: Callable[[str], object]) -> Question:
     """Return the question for a value that no recording gives."""
     text = f"{assumption.meaning}, which no recording gives"
+    text += f", so that a fit finds it, from {assumption.value} on, unless you know it" if assumption.is_fitted else ""
+    choice = _FITTED if assumption.is_fitted else assumption.value
     option = f"--set '{assumption.name} = {assumption.value}'"
-    return Question(assumption.name, text, assumption.value, is_column=False, option=option, check=check)
+    return Question(assumption.name, text, choice, is_column=False, option=option, check=check)
 
 
 def _decide(

@@ -66,14 +66,14 @@ def _rig_lines(draft: RigDraft | str) -> list[str]:
     text = f"Rig: {draft.kind.kind}, since {draft.kind.reason}; it fits {observed} by {free}."
     lines = ["", *wrap(text, _WIDTH, break_on_hyphens=False)]
     alloy = "alloy" if draft.rig.kind == "path" else "alloy and heat transfer"
-    assumed = "".join(f"{a.name} = {a.value}, " for a in draft.assumptions)
-    example = (
-        f"{draft.assumptions[0].name} = {draft.assumptions[0].value}"
-        if draft.assumptions
-        else "material.austenite_start = 68 degC"
-    )
-    text = f"Assumed in it, as no recording gives it: {assumed}{alloy} of Flexinol wire. Give what you know, as in "
-    text += f"--set '{example}' (values in Python), or correct it in the file."
+    fixed = [f"{a.name} = {a.value}" for a in draft.assumptions if not a.is_fitted]
+    assumed = "".join(f"{value}, " for value in fixed)
+    example = fixed[0] if fixed else "material.austenite_start = 68 degC"
+    text = f"Assumed in it, as no recording gives it: {assumed}{alloy} of Flexinol wire. "
+    for assumption in draft.assumptions:
+        if assumption.is_fitted:
+            text += f"For the same reason {assumption.name} is fitted, from {assumption.value} on. "
+    text += f"Give what you know, as in --set '{example}' (values in Python), or correct it in the file."
     return [*lines, *wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)]
 
 

@@ -141,20 +141,27 @@ def test_answers_decide_and_the_choice_of_a_question_stays(log):
         return FORCE if question.key == "load cell" else None
 
     result = sma.import_recording(log, ask=ask)
-    assert asked == ["load cell", "rig", "wire.diameter", "wire.length", "spring.stiffness"] and not result.questions
+    values = ["drive.supply", "wire.diameter", "wire.length", "spring.stiffness"]
+    assert asked == ["load cell", "rig", *values] and not result.questions
+    assert result.rig.fit.free[0] == "drive.supply"
     assert result.channels.columns["force"].factor == -0.0087
     assert_reads_back(log, Path("out"), result)
 
 
 def test_a_terminal_asks_until_an_answer_is_possible(log):
     command = [sys.executable, "-m", "smajax", "import", "log.csv", "--out", "a"]
-    output = in_terminal(command, ["force", FORCE, "dead-wait", "dead-weight", "1 kg", "0.2 mm"])
+    output = in_terminal(command, ["force", FORCE, "dead-wait", "dead-weight", "5 A", "5 V", "1 kg", "0.2 mm"])
     assert "Rig: bias-spring is suggested, since duty heats the wire, and the force changes" in output
     assert (
         "'dead-wait' is not a kind of rig" in output and "wire.diameter: '1 kg': the unit 'kg' does not fit" in output
     )
     rig = sma.read_rig("a/log-rig.toml")
     assert rig.kind == "dead-weight" and float(rig.plant.wire.diameter) == pytest.approx(0.2e-3)
+    assert re.search(
+        r"drive.supply: supply voltage .*, so that a fit finds it, from \S+ V on, unless you know it", output
+    )
+    assert "drive.supply: '5 A': the unit 'A' does not fit" in output
+    assert float(rig.plant.drive.supply) == 5.0 and "drive.supply" not in rig.fit.free
     assert "1  leave it out  (Enter)" in output and "'force' has no unit" in output
     assert "Doubts" not in output and Path("a/log-sections.toml").is_file()
     assert "factor = -0.0087" in Path("a/log-sections.toml").read_text()

@@ -127,9 +127,76 @@ def test_a_raw_log_of_a_force_sensor_is_fitted_and_another_is_forecast(shared, t
     assert simulated["temperature"] < simulated["before"]["temperature"]
 
 
+def test_an_effect_needs_a_fall_of_the_error_with_an_interval():
+    from experiments.measured.dongsus import fall, fall_interval
+
+    before = np.array([0.16, 0.09, 0.25, 0.16, 0.12, 0.2, 0.18])  # K^2, mean squared errors of blocks
+    low, high = fall_interval(before, 0.25 * before)
+    assert low < float(fall(before, 0.25 * before)) < high and low > 0.1
+    after = 0.3 * before
+    after[3] = 8.0 * before[3]  # one block gets much worse
+    low, high = fall_interval(before, after)
+    assert low < 0.0 < high
+
+
+def test_steps_of_a_converter_that_never_occur_are_named():
+    from experiments.common.converter import step_row
+
+    values = np.array([20.0, 20.25, 20.25, 21.0, 21.0, 21.0, 21.5, 21.5])
+    row = step_row(0.2 * np.arange(8), values, 4, 0.25, "degC")
+    assert row.numbers == {"stay_s": pytest.approx(0.6), "absent": [20.5, 20.75, 21.25]}
+    assert row.measured == "the reading stays at 21 degC for 0.6 s there; steps that never occur: 20.5, 20.75, 21.25"
+    still = step_row(0.2 * np.arange(3), np.full(3, 20.0), 2, 0.25, "degC")
+    assert still.numbers["absent"] == [] and "for 0.4 s there; steps that never occur: none" in still.measured
+
+
+def test_a_log_that_cools_after_its_heating_is_held_out_to_its_end(tmp_path):
+    from experiments.measured.dongsus import Forecasts, read_parts
+
+    time = np.arange(0.0, 120.0, 0.1)
+    duty = np.where((time >= 10.0) & (time < 70.0), 10, 0)
+    heated = np.clip(time - 10.0, 0.0, 60.0)
+    temperature = 25.0 + 5.0 * (1.0 - np.exp(-heated / 20.0)) * np.exp(-np.clip(time - 70.0, 0.0, None) / 20.0)
+    rows = (f"{t:.2f},{round(4 * c) / 4},{d}" for t, c, d in zip(time, temperature, duty, strict=True))
+    (tmp_path / "log.csv").write_text("\n".join(["Time(sec),Temperature(C),PWM(%)", *rows]))
+    parts = read_parts(tmp_path / "log.csv")
+    assert parts.held[-1] and parts.whole.time[parts.first] == pytest.approx(40.0, abs=0.2)
+    assert parts.blocks.max() == 9 and not np.any(parts.held & (parts.blocks >= 0))
+    count = int(np.sum(parts.held))
+    series = np.arange(count)[:, None] + np.zeros(len(parts.whole))
+    ahead = Forecasts(series, ()).ahead(parts, 25)
+    np.testing.assert_array_equal(ahead, np.arange(count - 24))  # each by the fit of the rows up to 25 before
+
+
+def test_a_forecast_uses_no_reading_after_its_origin(shared):
+    import dataclasses
+
+    from experiments.measured import dongsus
+
+    parts = dongsus.read_parts(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv")
+    rig = dongsus.parse_rig(dongsus.RIG, "dongsus.toml")
+    fitter = dongsus.EffectFitter(rig, {}, dongsus.PRIOR_DEVIATION, [parts.fitted], dongsus.STEP)
+    base = fitter.fit(parts.fitted, (), dongsus.STARTS, dongsus.STEPS)[0]
+    temperature = parts.whole.channels["temperature"].copy()
+    temperature[parts.first + 3 :] += 5.0
+    channels = {**parts.whole.channels, "temperature": temperature}
+    changed = dataclasses.replace(parts, whole=dataclasses.replace(parts.whole, channels=channels))
+    few = np.arange(len(parts.held)) < parts.first + 5
+    series = []
+    for each in (parts, changed):
+        each = dataclasses.replace(each, held=parts.held & few)
+        series.append(dongsus.forecast_all(fitter, each, base).series)
+    np.testing.assert_array_equal(series[0][:4], series[1][:4])  # from rows before the fourth one
+    assert np.abs(series[0][4] - series[1][4]).max() > 0.01
+
+
 def test_a_raw_log_with_repeated_stamps_is_fitted(shared, tmp_path):
     rows = rows_of("measured/dongsus", tmp_path, str(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv"))
     assert "983 of 5491 rows in which time does not increase dropped" in rows["rows"]["measured"]
     assert rows["fitted half: simulation without readings"]["numbers"]["after"] < 0.5 * 0.246
-    errors = rows["held out: 10 s ahead"]["numbers"]
-    assert errors["model"] < min(errors["persistence"], errors["mean so far"])
+    selected = rows["effect 1: error of blocks left out"]
+    assert selected["numbers"]["fall"][0] > 0.0 and selected["measured"].endswith("accepted")
+    for what in ("the rest, from each row on", "1 s ahead", "5 s ahead", "10 s ahead"):
+        assert rows[f"held out: {what}"]["met"], what
+    for what in ("the rest, from each row on", "5 s ahead", "10 s ahead"):
+        assert rows[f"held out: {what}, naive forecasts"]["met"], what

@@ -75,8 +75,8 @@ def _analyse(recordings: list[Path], model: str | None, options: dict[str, Any],
         try:
             return thermal_cycle_properties(recordings, model=model, progress=progress, **options)
         except InputError as error:
-            ending = next((path.suffix.lower() for path in recordings if str(error).startswith(f"{path}")), "")
-            raise with_cure_of_this_command(error, ending) from None
+            path = next((path for path in recordings if str(error).startswith(f"{path}")), None)
+            raise with_cure_of_this_command(error, path, options) from None
 
 
 def _write_set(path: Path, study: "PropertiesStudy") -> None:

@@ -4,14 +4,20 @@ The cures of the readers of recordings name keys of a rig file; this command has
 one there is the option of this command, or the change of the file, with the same effect.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
+from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers import TEXT_SUFFIXES
+from smajax.recordings.recognition.recognise import recognise
 
 _TEXT_ENDINGS = (*TEXT_SUFFIXES, ".xlsx")
-_COLUMNS_HINT = "--columns, as in --columns 'temperature [degC],strain [%]'"
+_COLUMNS_HINT = "--columns, with - for one to ignore, as in --columns '-,temperature [degC],strain [%]'"
+# Channels of thermal cycles, and the time, which is in most files.
+_CHANNELS = ("time", "temperature", "strain", "stress")
 
 Fields = Mapping[str, Any]
 
@@ -32,7 +38,7 @@ _CURES: dict[str, Callable[[Fields], str]] = {
     "delimiter-is-decimal": lambda fields: 'give --delimiter ";" or "\\t"',
     "decimal": lambda fields: "give --decimal ,",
     "decimal-commas": lambda fields: "save with another delimiter and give --delimiter and --decimal",
-    "header-missing": lambda fields: f"name the columns by {_COLUMNS_HINT}",
+    "header-missing": lambda fields: f"name the columns by {fields['columns_hint']}",
     "title-rows": lambda fields: f"give --skip-rows {fields['skip_rows']}",
     "columns-count": lambda fields: "name every column, with - for one to ignore, or give --skip-rows",
     "bad-first-row": lambda fields: (
@@ -40,22 +46,24 @@ _CURES: dict[str, Callable[[Fields], str]] = {
     ),
     "stamp": lambda fields: "give its format, as in --time-format '%d.%m.%Y %H:%M:%S', or correct it",
     "date-format": lambda fields: "give the format of both with a space between: --time-format '%d.%m.%Y %H:%M:%S'",
-    "columns-missing": lambda fields: f"name its columns by {_COLUMNS_HINT}",
+    "columns-missing": lambda fields: f"name its columns by {fields['columns_hint']}",
     "columns-named": lambda fields: "leave --columns out, and give the file headers like 'temperature [degC]'",
     "mat-variable": lambda fields: f"name it by --variable, as in --variable {fields['variable']}",
     "mat-matrix": lambda fields: f"save one vector per channel, or give --variable {fields['variable']} and --columns",
     "topic-stamps": lambda fields: f"give --clock-topic {fields['topic']} and --topic-interpolation hold or linear",
     "no-column-mapped": lambda fields: "export its fields as CSV, with headers like 'temperature [degC]'",
-    "header-blank": lambda fields: f"write one, or name the columns with - for this one by {_COLUMNS_HINT}",
+    "header-blank": lambda fields: f"write one, or name the columns with - for this one by {fields['columns_hint']}",
     "encoding": lambda fields: "give another --encoding, such as cp1252, or save the file as UTF-8",
     "clock-restart": lambda fields: "split the recording there with --on-bad-rows split",
     "constant-channel": lambda fields: "check the sensor",
     "implausible": lambda fields: "",
 }
 _CURES_OF_TEXT: dict[str, Callable[[Fields], str]] = {
-    "unknown-column": lambda fields: f"rename it, or name the columns by {_COLUMNS_HINT}",
+    "unknown-column": lambda fields: f"rename it, or name the columns by {fields['columns_hint']}",
     "unit-missing": lambda fields: f"write the header like '{fields['example']}', in the file or by --columns",
-    "channel-missing": lambda fields: f"add a column '{fields['example']}' or name the columns by {_COLUMNS_HINT}",
+    "channel-missing": lambda fields: (
+        f"add a column '{fields['example']}' or name the columns by {fields['columns_hint']}"
+    ),
 }
 _CURES_OF_MAT: dict[str, Callable[[Fields], str]] = {
     "unknown-column": lambda fields: "save one vector per channel, named temperature, strain and stress",
@@ -72,13 +80,32 @@ _CURES_OF_OTHERS: dict[str, Callable[[Fields], str]] = {
 }
 
 
-def with_cure_of_this_command(error: InputError, ending: str) -> InputError:
+def with_cure_of_this_command(error: InputError, path: Path | None, reading: Mapping[str, Any]) -> InputError:
     """Return an error of the readers of recordings with the cure of this command.
 
     Args:
         error: The error.
-        ending: Ending of the file name, such as ".csv".
+        path: The file that cannot be read; ``None`` for other errors.
+        reading: Options of reading by name.
     """
+    ending = path.suffix.lower() if path else ""
     of_format = _CURES_OF_TEXT if ending in _TEXT_ENDINGS else _CURES_OF_MAT if ending == ".mat" else _CURES_OF_OTHERS
     cure = {**_CURES, **of_format}.get(error.code)
-    return error if cure is None else error.with_cure(cure(error.fields))
+    if cure is None:
+        return error
+    hint = _columns_hint(path, reading) if path and ending in _TEXT_ENDINGS else _COLUMNS_HINT
+    return error.with_cure(cure({**error.fields, "columns_hint": hint}))
+
+
+def _columns_hint(path: Path, reading: Mapping[str, Any]) -> str:
+    """Return the option that names the columns of a file as they are recognised, or an example if they are not."""
+    names = {field.name for field in dataclasses.fields(ReadOptions)} - {"columns"}
+    try:
+        recognition = recognise(path, {}, {k: v for k, v in reading.items() if k in names and v is not None})
+    except InputError:
+        return _COLUMNS_HINT
+    columns = [column.text if column.channel in _CHANNELS else "-" for column in recognition.columns]
+    is_cycle = {"temperature", "strain"} <= {column.channel for column in recognition.columns}
+    if not is_cycle or any("=" in column or "," in column for column in columns):  # a factor has no place there
+        return _COLUMNS_HINT
+    return f"--columns '{','.join(columns)}'"

@@ -28,6 +28,7 @@ _UNKNOWN_SUPPLY = "1 V"
 _DIGITS = 3
 _AMBIENT = "environment.ambient"
 _ASSUMED = "assumed: no recording gives it"
+_FITTED = "start value, as no recording gives it"
 _START = "start value, from the temperature of the recording"
 # First line of the examples of sections in a template, which the sections of the recording replace, and the section
 # after them, with an example line in it that the fit replaces.
@@ -44,11 +45,13 @@ class Assumption:
         name: Name of the parameter.
         value: The value, as it is in the rig.
         meaning: What it is.
+        is_fitted: Whether the value is where a fit begins, because it can find it.
     """
 
     name: str
     value: str
     meaning: str
+    is_fitted: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,18 +103,16 @@ def draft_rig(
             _set_parameter(document, parameter, value, origin)
     _set_values(document, given)
     _set_fit(document, observation)
+    for parameter in assumed:
+        _set_comment(document, parameter, _FITTED if parameter in observation.free else _ASSUMED)
     if SUPPLY in observation.free and "temperature" in observation.channels:
         _set_thermal_start(document, chosen, recordings, given, name)
-        assumed.remove(SUPPLY)
-    for parameter in assumed:
-        _set_comment(document, parameter, _ASSUMED)
     text = tomlkit.dumps(document)
     rig = parse_rig(text, name)
     _require_signals(rig, recordings)
     declarations = parameters.all_declarations(rig.plant)
-    values_by_name = {parameter: str(_item(document, parameter)) for parameter in assumed}
     assumptions = tuple(
-        Assumption(parameter, value, declarations[parameter].meaning) for parameter, value in values_by_name.items()
+        Assumption(p, str(_item(document, p)), declarations[p].meaning, p in observation.free) for p in assumed
     )
     return RigDraft(chosen, text, rig, assumptions)
 

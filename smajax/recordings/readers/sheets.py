@@ -33,4 +33,6 @@ def choose_sheets(
     others = [name for name in filled if name not in chosen]
     if not others or options.sheet:
         return chosen, ()
-    return chosen, (f"{kind} '{chosen[0]}' was read, and not {', '.join(others)}: name others, or all, by sheet",)
+    return chosen, (
+        f"{kind} '{chosen[0]}' was read, and not {', '.join(others)}: name others, or all, by sheet (--sheet)",
+    )

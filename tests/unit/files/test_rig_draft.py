@@ -85,7 +85,7 @@ def test_values_of_the_user_take_their_place_and_others_are_marked():
     assert float(result.rig.plant.wire.diameter) == pytest.approx(0.5e-3)
     assert result.rig.fit.free == ("heat.h0", "heat.capacity")  # the supply is known
     lines = result.text.splitlines()
-    assert 'diameter = "0.5 mm"' in lines
+    assert 'diameter = "0.5 mm"' in lines and 'supply = "6 V"' in lines
     assert 'length = "230 mm"                 # assumed: no recording gives it' in lines
     assert 'ambient = "26 degC"               # the first temperature of the recording' in lines
 
@@ -105,6 +105,22 @@ def test_a_kind_or_value_that_is_not_possible_is_refused(arguments, sentence):
     with pytest.raises(InputError) as refusal:
         draft("duty temperature", **arguments)
     assert sentence in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "comment"),
+    [("duty displacement", "start value, as no recording gives it"), ("duty temperature", "start value, from")],
+)
+def test_a_supply_that_is_not_given_is_fitted_and_named(names, comment):
+    columns = {"duty": DUTY} | ({"temperature": 20.0 + 30.0 * (1.0 - np.exp(-TIME / 9.0))} if "temp" in names else {})
+    result = draft_rig([recording(names, **columns)], "", "run-rig.toml")
+    (supply,) = [a for a in result.assumptions if a.name == "drive.supply"]
+    assert supply.is_fitted and "drive.supply" in result.rig.fit.free and supply.value.endswith(" V")
+    assert not any(a.is_fitted for a in result.assumptions if a is not supply)
+    (line,) = [line for line in result.text.splitlines() if line.startswith("supply = ")]
+    assert comment in line
+    current = draft("current displacement")
+    assert not any(a.name == "drive.supply" for a in current.assumptions)
 
 
 def test_forces_and_stresses_say_diameter_preload_and_mass():

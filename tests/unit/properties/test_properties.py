@@ -988,6 +988,27 @@ def test_titles_units_and_other_names_are_read_by_options(tmp_path, options):
     assert done.exit_code == 0 and "1 cycle" in done.output and "Reading: row 4 was read as units." in done.output
 
 
+@pytest.mark.parametrize(
+    ("head", "cells", "columns"),
+    [
+        ("Time,Temp,Stress,Strain", "{k},{t:.6g},100,{e:.6g}", "time [s],temperature [degC],stress [MPa],strain [%]"),
+        ("Temp,Note,Eps,Load", "{t:.6g},ok,{e:.6g},{k}.5", "temperature [degC],-,strain [%],-"),
+        ("T_wire;Dehnung", "{t:.6g};{e:.6g}", "temperature [degC],strain [%]"),
+    ],
+    ids=["names", "others", "semicolons"],
+)
+def test_the_advice_on_columns_is_that_of_the_file_and_works(tmp_path, head, cells, columns):
+    path = tmp_path / "a.csv"
+    temperature, strain = made(1)
+    rows = (cells.format(k=k, t=t, e=100 * e) for k, (t, e) in enumerate(zip(temperature, strain, strict=True)))
+    path.write_text("\n".join([head, *rows]) + "\n")
+    options = ["--delimiter", ";"] if ";" in head else []
+    refused = CliRunner().invoke(app, ["properties", str(path), *options])
+    assert refused.exit_code == 2 and refused.output.rstrip().endswith(f"name the columns by --columns '{columns}'")
+    done = CliRunner().invoke(app, ["properties", str(path), *options, "--columns", columns])
+    assert done.exit_code == 0 and "a.csv: 1 cycle" in done.output
+
+
 def test_columns_that_cycles_do_not_need_are_named():
     temperature, strain = made(1)
     data = {"temperature [degC]": temperature, "strain": strain, "force [N]": strain, "ambient [degC]": strain}

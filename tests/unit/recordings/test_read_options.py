@@ -309,7 +309,7 @@ def workbook(tmp_path):
 
 def test_sheets_are_named_or_all_and_those_left_out_are_named(workbook):
     first = read_recording(workbook)
-    assert first.notes == ("sheet '50 MPa' was read, and not 100 MPa: name others, or all, by sheet",)
+    assert first.notes == ("sheet '50 MPa' was read, and not 100 MPa: name others, or all, by sheet (--sheet)",)
     both = read_recordings(workbook, sheet="all")
     assert [recording.channels["temperature"][0] for recording in both] == [30.0, 31.0]
     assert not any(recording.notes for recording in both)

@@ -75,7 +75,7 @@ def test_each_layout_gives_the_same_recording(read, layout):
 
 def test_the_clock_and_the_groups_that_are_left_out_are_noted(read):
     notes = read([*WAVE, ("Slow", "temperature", CURRENT[:2], {})]).notes
-    assert notes[0] == "group 'Bench' was read, and not Slow: name others, or all, by sheet"
+    assert notes[0] == "group 'Bench' was read, and not Slow: name others, or all, by sheet (--sheet)"
     assert notes[1].startswith(
         "time is every 0.02 s, as the waveform properties say, from wf_start_time 2024-03-01T12:00:00"
     )

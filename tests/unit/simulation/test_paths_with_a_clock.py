@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from smajax.errors import InputError
+from smajax.files.rig_file import parse_rig
 from smajax.fitting.fit import fit
 from smajax.plant.effects.creep import Creep
 from smajax.recordings.read import read_recording
@@ -18,6 +19,18 @@ from tests.support import plants
 from tests.unit.fitting.test_bounds_and_noise import Settings
 
 ROWS = 60
+BATH_RIG = """
+schema = 1
+[rig]
+kind = "dead-weight"
+control = "temperature"
+parameters = "rotary-table1"
+[wire]
+diameter = "0.15 mm"
+length = "230 mm"
+[load]
+mass = "200 g"
+"""
 
 
 def cycle(time=None) -> Recording:
@@ -54,6 +67,44 @@ def test_a_clock_changes_no_fit_of_a_path():
     assert [e.estimate for e in timed.estimates] == [e.estimate for e in untimed.estimates]
     assert [e.lower95 for e in timed.estimates] == [e.lower95 for e in untimed.estimates]
     assert timed.discretisation_errors == untimed.discretisation_errors == {"strain": 0.0}
+
+
+def loop(time=None) -> Recording:
+    """Return loops of strain of a warm wire, with the stress that it has."""
+    strain = 0.03 * (1.0 - np.abs(np.linspace(-1.0, 1.0, ROWS)))
+    blank = plants.recording({"temperature": np.full(ROWS, 95.0), "strain": strain}, time)
+    plant = plants.strain_path()
+    stress = np.asarray(simulate(plant, discretise(plant, blank, step=1e9)).channels["stress"])
+    noisy = stress + 1e5 * np.random.default_rng(0).standard_normal(ROWS)
+    return dataclasses.replace(blank, channels={**blank.channels, "stress": noisy})
+
+
+@pytest.mark.parametrize("spacing", [1e-6, 0.19, 86400.0], ids=["microseconds", "the real log", "days"])
+def test_a_clock_changes_no_fit_of_loops_of_strain(spacing):
+    settings = Settings(free=("material.austenite_shift", "material.modulus_austenite"), observe=("stress",))
+    start = changed_modulus(plants.strain_path())
+    timed, untimed = (fit(start, [recording], settings) for recording in (loop(spacing * np.arange(ROWS)), loop()))
+    for one, other in zip(timed.estimates, untimed.estimates, strict=True):
+        assert (one.estimate, one.lower95, one.upper95) == (other.estimate, other.lower95, other.upper95)
+    assert timed.rmse("stress") == pytest.approx(1e5, rel=0.2)
+
+
+def changed_modulus(plant):
+    """Return a plant whose start value of a modulus is off."""
+    return dataclasses.replace(plant, material=dataclasses.replace(plant.material, modulus_austenite=jnp.asarray(35e9)))
+
+
+@pytest.mark.parametrize("spacing", [0.01, 30.0])
+def test_a_wire_in_a_bath_takes_no_more_steps_with_a_slower_clock(spacing):
+    """It has no heat balance, so that no time constant is resolved."""
+    plant = parse_rig(BATH_RIG).plant
+    bath = np.interp(np.arange(ROWS), [0, ROWS / 2, ROWS], [20.0, 110.0, 25.0])
+    recording = plants.recording({"temperature": bath}, spacing * np.arange(ROWS))
+    assert len(discretise(plant, recording).time) == ROWS
+    quick = plants.recording({"temperature": bath}, np.arange(ROWS, dtype=float))
+    np.testing.assert_allclose(
+        simulate(plant, recording).channels["displacement"], simulate(plant, quick).channels["displacement"]
+    )
 
 
 def test_rows_of_one_time_are_a_path_of_their_own():
