@@ -216,3 +216,13 @@ def test_limits_of_a_controller_without_a_pid():
     constant = Constant(jnp.zeros(()), jnp.asarray(0.3), PERIOD)
     limited = constant.with_limits(jnp.asarray(0.1), jnp.asarray(0.2))
     assert [float(v) for v in limited.limits] == [0.1, 0.2] and constant.constants() == {}
+
+
+def test_a_reference_of_single_precision_is_refused(plant):
+    single = REFERENCE.astype(np.float32)
+    with pytest.raises(InputError, match="^reference is of float32 and smajax needs double precision"):
+        rollout(plant, loop_of(), single)
+    with pytest.raises(InputError, match="^initial_reference is of float32"):
+        rollout(plant, loop_of(), REFERENCE, initial_reference=jnp.float32(0.0))
+    with pytest.raises(InputError, match=r"^changes\['environment.ambient'\] is of float32"):
+        Scenario.noiseless(REFERENCE, 0.0, {"environment.ambient": single})
