@@ -109,6 +109,7 @@ def thermal_cycle_properties(
         read = _read(as_source_list(recordings), reading)
     with clock.time("analyse"):
         analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.phase)
+    reporter.finish("writing the report")
     files: dict[str, FileContent] = {}
     guessed = None
     if model is not None:

@@ -152,6 +152,56 @@ def test_a_loaded_study_says_why_it_did_not_succeed(fitted, tmp_path):
     assert loaded.reason == "interrupted" and not loaded.success
 
 
+def stop_after(step):
+    """Return a callback that stops a fit after so many steps."""
+
+    def stop(event):
+        if event.step == step:
+            raise StopIteration
+
+    return stop
+
+
+def stop_at_tanaka(event):
+    if event.text == "fitting tanaka":
+        raise StopIteration
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (
+            lambda rig, train, holdout: sma.fit(rig, train, starts=2, progress=stop_after(3)),
+            "interrupted with the best point so far",
+        ),
+        (
+            lambda rig, train, holdout: sma.compare(
+                rig, train, holdout=holdout, models=["transfer-function-one-pole", "tanaka"], progress=stop_at_tanaka
+            ),
+            "interrupted: tanaka not compared",
+        ),
+    ],
+)
+def test_a_study_that_was_stopped_has_the_same_reason_after_loading(call, reason, files, tmp_path):
+    study = call(files / "rig.toml", files / "train.csv", files / "holdout.csv")
+    study.save(tmp_path / "stopped")
+    loaded = sma.load(tmp_path / "stopped")
+    assert (study.reason, study.exit_code) == (loaded.reason, loaded.exit_code) == (reason, 130)
+    assert json.loads((tmp_path / "stopped" / "run.json").read_text("utf-8"))["reason"] == reason
+
+
+def test_a_cancelled_analysis_of_cycles_says_what_it_did():
+    def stop(event):
+        if "cycle 2" in event.text:
+            raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match="^cancelled while analysing train.csv: cycle 2 of 6, before there was"):
+        sma.thermal_cycle_properties(ISOBARIC, progress=stop)
+    events = []
+    sma.thermal_cycle_properties(ISOBARIC, progress=events.append)
+    assert events[-1].text == "writing the report"
+
+
 def test_a_dictionary_stands_for_a_rig_file(files):
     sections = tomllib.loads((files / "rig.toml").read_text("utf-8"))
     assert sma.predict(sections, files / "holdout.csv").success
