@@ -190,6 +190,18 @@ def test_a_study_that_was_stopped_has_the_same_reason_after_loading(call, reason
     assert json.loads((tmp_path / "stopped" / "run.json").read_text("utf-8"))["reason"] == reason
 
 
+def test_a_property_is_taken_by_its_name_where_there_is_one_stress():
+    one = sma.thermal_cycle_properties(ISOBARIC.with_name("cycles.csv"))
+    low, high = one["austenite_finish"].interval
+    assert low < one["austenite_finish"].value < high and one["austenite_finish"] == one.means[0][1]["austenite_finish"]
+    sentence = (
+        r"cycles of 3 stresses or recordings \(\d+ MPa, \d+ MPa, \d+ MPa\), each with its own 'austenite_finish': "
+        r"take one of \.means, as in study\.means\[0\]\[1\]\['austenite_finish'\], or give a recording under one stress"
+    )
+    with pytest.raises(sma.InputError, match=sentence):
+        sma.thermal_cycle_properties(ISOBARIC)["austenite_finish"]
+
+
 def test_a_cancelled_analysis_of_cycles_says_what_it_did():
     def stop(event):
         if "cycle 2" in event.text:
