@@ -352,7 +352,9 @@ def test_mistakes_have_the_sentences_of_the_commands(files):
 
 # Calls with an argument of a wrong type, and the sentences that refuse them.
 A_PLANT = "give a Plant, such as rig.plant of a rig from read_rig"
-A_RECORDING = "a Recording, such as rig.read(..., observed=False) of a file or of a table in memory"
+A_RECORDING = (
+    "a Recording, such as read_recording(...) or rig.read(..., observed=False) of a file or of a table in memory"
+)
 A_STATE = "give the state that init returns, or the first result of step"
 WRONG_TYPES = {
     "sma.simulate(rig, inputs)": f"simulate: plant is of type Rig: {A_PLANT}",
@@ -368,12 +370,20 @@ WRONG_TYPES = {
     "sma.rollout(rig, loop, reference)": f"rollout: system is of type Rig: {A_PLANT}, or a SampledPlant",
     "sma.rollout(plant, loop.controller, reference)": "rollout: loop is of type PID: give a ClosedLoop, such as "
     "ClosedLoop(controller, channel=...)",
+    "dataclasses.replace(plant, wire=0.2)": "Plant: wire cannot be a float: give a Wire or a Coil",
+    "dataclasses.replace(plant, drive=sma.CurrentDrive)": "Plant: drive cannot be the class CurrentDrive: give a "
+    "CurrentDrive, VoltageDrive, PowerDrive, DutyDrive or NoDrive",
+    "dataclasses.replace(plant, material='brinson')": "Plant: material cannot be a str: give a law of "
+    "smajax.materials, such as that of load_material",
+    "dataclasses.replace(plant, effects=('latent-heat',))": "Plant: effects cannot be a str: give instances of classes "
+    "of smajax.effects, such as (LatentHeat(strength=1e8),)",
 }
 
 
 def test_arguments_of_a_wrong_type_are_named_with_what_is_taken():
     """In a new process, since the tests' own checks of types would come first."""
     code = f"""
+import dataclasses
 import numpy as np
 import jax
 import smajax as sma
