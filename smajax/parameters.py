@@ -365,11 +365,13 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 
     Raises:
         InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds, or a value
-            is an array of another type than float64 or an integer one.
+            is ``None``, or an array of another type than float64 or an integer one.
     """
     table = all_declarations(plant) if values else {}
     for name, number in values.items():
         declared, value = _find(table, name), as_float(number)
+        if value is None:
+            raise InputError(f"{name} is None: give a number in {declared.unit}")
         check_value(name, value, declared)
         for member in TIES.get(name, (name,)):
             plant = eqx.tree_at(
