@@ -117,3 +117,37 @@ def shortened(text: str, length: int = _VALUE_CHARACTERS) -> str:
 def first_line(error: Exception) -> str:
     """Return the beginning of the message of another package's error, for a sentence."""
     return (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_CHARACTERS]
+
+
+def missing_members(cls: type[Any]) -> str:
+    """Return in words all that a class has to define and does not; empty if it is complete.
+
+    Args:
+        cls: A class derived from ``smajax.parameters.CheckedModule``.
+    """
+    names = [*missing_attributes(cls), *sorted(getattr(cls, "__abstractvars__", ()))]
+    problems = [f"define {', '.join(map(repr, names))} in the body of the class"] if names else []
+    return "; ".join([*problems, *filter(None, [missing_methods(cls)])])
+
+
+def missing_methods(cls: type[Any]) -> str:
+    """Return in words which abstract methods a class does not define; empty if it defines all of them.
+
+    Args:
+        cls: The class.
+    """
+    names = sorted(getattr(cls, "__abstractmethods__", ()))
+    docs = [((getattr(cls, name).__doc__ or "").strip().splitlines() or [""])[0].rstrip(".") for name in names]
+    purposes = [
+        f"'{name}'" + (f" ({doc[0].lower()}{doc[1:]})" if doc else "") for name, doc in zip(names, docs, strict=True)
+    ]
+    return f"define the {'method' if len(names) == 1 else 'methods'} {', '.join(purposes)}" if names else ""
+
+
+def missing_attributes(cls: type[Any]) -> list[str]:
+    """Return the names in ``required_attributes`` of a class that have no value.
+
+    Args:
+        cls: A class derived from ``smajax.parameters.CheckedModule``.
+    """
+    return [name for name in cls.required_attributes if not hasattr(cls, name)]

@@ -12,7 +12,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any, get_args, get_type_hints
+from typing import Any, ClassVar, get_args, get_type_hints
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from smajax.errors import InputError, suggestion
+from smajax.errors import InputError, missing_members, suggestion
 from smajax.units import as_text
 
 # All of smajax needs double precision. JAX is switched to it here, on import, unless the environment says otherwise.
@@ -85,7 +85,13 @@ class CheckedModule(eqx.Module):
     Values that JAX traces, and the placeholders with which it rebuilds modules, are not checked; neither are leaves
     that ``equinox.tree_at`` replaces. The docstring of a derived class ends with a list of its parameters, by their
     declarations.
+
+    Attributes:
+        required_attributes: Names of the class attributes that a derived class has to define.
     """
+
+    # ``equinox.AbstractClassVar`` would raise before ``__new__``, without the methods that are missing, too.
+    required_attributes: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Add the declared parameters to the docstring of a derived class."""
@@ -102,10 +108,11 @@ class CheckedModule(eqx.Module):
         """Make an instance.
 
         Raises:
-            TypeError: If the class lacks methods of its base class; the message says what each of them does.
+            TypeError: If the class lacks methods, fields or class attributes that its base class demands; the message
+                says what each of the methods does.
             InputError: If an argument has an unknown name.
         """
-        if missing := missing_methods(cls):
+        if missing := missing_members(cls):
             raise TypeError(f"{cls.__name__} cannot be constructed: {missing}")
         _, *accepted = inspect.signature(cls.__init__).parameters.values()
         names = [argument.name for argument in accepted]
@@ -134,20 +141,6 @@ def _describe(name: str, declaration: Declaration) -> str:
     lower, upper, default = f"{declaration.lower:g}", f"{declaration.upper:g}", declaration.default
     start = "required" if default is None else ("derived" if math.isnan(default) else f"{default:g}") + " by default"
     return f"{name} [{declaration.unit}]: {declaration.meaning}; {lower} to {upper}, {start}."
-
-
-def missing_methods(cls: type[Any]) -> str:
-    """Return in words which abstract methods a class does not define; empty if it defines all of them.
-
-    Args:
-        cls: The class.
-    """
-    names = sorted(getattr(cls, "__abstractmethods__", ()))
-    docs = [((getattr(cls, name).__doc__ or "").strip().splitlines() or [""])[0].rstrip(".") for name in names]
-    purposes = [
-        f"'{name}'" + (f" ({doc[0].lower()}{doc[1:]})" if doc else "") for name, doc in zip(names, docs, strict=True)
-    ]
-    return f"define the {'method' if len(names) == 1 else 'methods'} {', '.join(purposes)}" if names else ""
 
 
 def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx.Module]]:
@@ -372,11 +365,13 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 
     Raises:
         InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds, or a value
-            is an array of another type than float64 or an integer one.
+            is ``None``, or an array of another type than float64 or an integer one.
     """
     table = all_declarations(plant) if values else {}
     for name, number in values.items():
         declared, value = _find(table, name), as_float(number)
+        if value is None:
+            raise InputError(f"{name} is None: give a number in {declared.unit}")
         check_value(name, value, declared)
         for member in TIES.get(name, (name,)):
             plant = eqx.tree_at(

@@ -130,9 +130,11 @@ def fit(
     document, responses = _evaluate(inputs, search)
     wrong = [r for r in responses if r.status is not SimulationStatus.done]
     failed = [f"{r.recording.name}: {r.status.name}: {r.status.hint}" for r in wrong]
-    failure = NumericsError.exit_code if failed or search.result is None else 0
+    diverged = search.result is not None and search.result.status is SolverStatus.diverged
+    failure = NumericsError.exit_code if failed or diverged or search.result is None else 0
     code = Cancelled.exit_code if search.interrupted else failure
-    reason = search.reason or "; ".join(failed) or "interrupted with the best point so far"
+    ended = SolverStatus.diverged.text if diverged else "interrupted with the best point so far"
+    reason = search.reason or "; ".join(failed) or ended
     ending = {"code": document["solver"]["code"], "text": document["solver"]["text"]}
     return FitStudy(
         document=document,

@@ -50,4 +50,5 @@ def _reason(run: Mapping[str, Any], document: Mapping[str, Any]) -> str:
     """Why a study did not succeed, from its record; empty if it did."""
     if not run["exit_code"]:
         return ""
-    return "; ".join(document.get("problems", ())) or str(run.get("text") or "interrupted")
+    # Folders of earlier versions have no reason.
+    return run.get("reason") or "; ".join(document.get("problems", ())) or str(run.get("text") or "interrupted")

@@ -18,6 +18,7 @@ from smajax.recordings.recording import Recording
 from smajax.recordings.sources import as_source_list, is_path
 from smajax.report.prediction import recording_series
 from smajax.report.properties import properties_document
+from smajax.units import as_text
 
 # Header of a column that is not read.
 IGNORED_COLUMN = "-"
@@ -71,7 +72,13 @@ class PropertiesStudy(Study):
         """
         groups = list(self.means)
         if len(groups) > 1:
-            raise InputError(f"there are {len(groups)} groups of cycles: take the property from one of .means")
+            found = ", ".join(
+                "no stress" if stress is None else as_text(float(f"{stress:.4g}"), "Pa") for stress, _ in groups
+            )
+            raise InputError(
+                f"there are cycles of {len(groups)} stresses or recordings ({found}), each with its own '{name}': take "
+                f"one of .means, as in study.means[0][1]['{name}'], or give a recording under one stress"
+            )
         properties = groups[0][1]
         if name not in properties:
             raise InputError(f"'{name}' is not a property of thermal cycles: they are {', '.join(properties)}")
@@ -109,6 +116,7 @@ def thermal_cycle_properties(
         read = _read(as_source_list(recordings), reading)
     with clock.time("analyse"):
         analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.phase)
+    reporter.finish("writing the report")
     files: dict[str, FileContent] = {}
     guessed = None
     if model is not None:

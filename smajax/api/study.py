@@ -98,6 +98,8 @@ class Study:
         """
         folder = Path(folder)
         run = {**self.run, "argv": list(argv)}
+        if self.reason and self.document_name != "run.json":  # a simulation has it as its text
+            run["reason"] = self.reason
         write_result(folder, run, partial(self._fill, run))
         return folder
 

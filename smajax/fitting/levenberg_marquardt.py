@@ -58,6 +58,7 @@ class SolverStatus(enum.IntEnum):
     failed = 3
     steps = 4
     interrupted = 5
+    diverged = 6
 
     @property
     def text(self) -> str:
@@ -69,6 +70,8 @@ class SolverStatus(enum.IntEnum):
             SolverStatus.failed: "the simulation fails at the start point: see its result code",
             SolverStatus.steps: "the number of steps ran out before the cost settled: allow more, or start nearer",
             SolverStatus.interrupted: "interrupted; the best point so far is kept",
+            SolverStatus.diverged: "the solver ended far above its best point, which is kept and is no minimum: start "
+            "nearer, or give a solver with damping or a trust region",
         }[self]
 
 

@@ -30,7 +30,30 @@ class Plant(StepSolver):
     """Differentiable model of a rig: drive, heat, material, mechanism and sensors, and the effects that act on them.
 
     The parameters are the float leaves; ``smajax.parameters`` reads and sets them by name. A ``signal`` is the vector
-    of the recorded channels that drive the plant at one instant, in the order of ``signals``.
+    of the recorded channels that drive the plant at one instant, in the order of ``signals``. A plant without a file,
+    in SI units and degC::
+
+        plant = sma.Plant(
+            wire=sma.Wire(diameter=0.15e-3, length=0.23),
+            material=sma.load_material("rotary-table1"),
+            mechanism=sma.mechanisms.DeadWeight(sma.mechanisms.Load(mass=0.2)),
+            drive=sma.CurrentDrive(),
+            heat=sma.PolynomialConvection(h0=100.0),
+            effects=(sma.effects.LatentHeat(strength=1e8),),
+        )
+
+    Attributes:
+        wire: Geometry of the wires: ``Wire`` or ``Coil``.
+        drive: Recorded input: ``CurrentDrive``, ``VoltageDrive``, ``PowerDrive``, ``DutyDrive``, ``NoDrive``.
+        heat: Heat balance: ``PolynomialConvection``, ``PowerLawConvection``, or a ``PrescribedTemperature``.
+        material: Constitutive law, one of ``smajax.materials``; ``load_material`` makes one with shipped values.
+        mechanism: Load of the wires, one of ``smajax.mechanisms``.
+        effects: Effects that are added to the stages, of the classes in ``smajax.effects``; by default none.
+        cells: Cells along each wire (``smajax.plant.cells``); by default none, so that a wire has one temperature.
+        grains: Grains in each cell (``smajax.plant.grains``); by default none.
+        environment: ``Environment``: ambient temperature and gravity.
+        initial: ``Initial``: temperature and fractions at the first row; by default as installed, at rest.
+        sensor: ``Sensor``: gains and offsets of channels; by default each is read as it is.
     """
 
     @property

@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 
-from smajax.errors import InputError, suggestion
-from smajax.parameters import missing_methods, module_types
+from smajax.errors import InputError, missing_attributes, missing_methods, suggestion
+from smajax.parameters import module_types
 
 Module = TypeVar("Module", bound=eqx.Module)
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -195,10 +195,9 @@ def class_problem(cls: type[Any]) -> str:
         The problems in words; an empty text if there is none.
     """
     problems = [missing] if (missing := missing_methods(cls)) else []
-    fields, constants = (sorted(getattr(cls, name, ())) for name in ("__abstractvars__", "__abstractclassvars__"))
-    if constants:
+    if constants := missing_attributes(cls):
         problems.append(f"define {', '.join(map(repr, constants))} in the body of the class")
-    for name in fields:
+    for name in sorted(getattr(cls, "__abstractvars__", ())):
         problems.append(f"define '{name}' in the body of the class: {_DECLARED_FIELD.format(name=name)}")
     for field in dataclasses.fields(cls):
         if "declaration" not in field.metadata and not field.metadata.get("static") and not module_types(cls, field):

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.channels import numbered
+from smajax.errors import InputError
 from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains
 from smajax.plant.drive import AbstractDrive
 from smajax.plant.effects.base import (
@@ -42,6 +43,20 @@ SURROUNDINGS = ("ambient", "fan")
 _ACCUMULATED = "transformation"
 
 
+# Base class of each stage, and what to give in words.
+_STAGE_CLASSES: dict[str, tuple[type[eqx.Module], str]] = {
+    "wire": (AbstractWire, "a Wire or a Coil"),
+    "environment": (Environment, "an Environment"),
+    "initial": (Initial, "an Initial"),
+    "drive": (AbstractDrive, "a CurrentDrive, VoltageDrive, PowerDrive, DutyDrive or NoDrive"),
+    "heat": (AbstractHeat, "a PolynomialConvection, PowerLawConvection or PrescribedTemperature"),
+    "material": (AbstractMaterial, "a law of smajax.materials, such as that of load_material"),
+    "mechanism": (AbstractMechanism, "one of smajax.mechanisms, such as DeadWeight(Load(mass=0.2))"),
+    "sensor": (Sensor, "a Sensor"),
+    "effects": (AbstractEffect, "instances of classes of smajax.effects, such as (LatentHeat(strength=1e8),)"),
+}
+
+
 class PlantStages(CellsAndGrains):
     """Parts of a plant, and the equations of its stages with their effects.
 
@@ -66,6 +81,18 @@ class PlantStages(CellsAndGrains):
     mechanism: AbstractMechanism
     sensor: Sensor = eqx.field(default_factory=lambda: Sensor.identity(()), kw_only=True)
     effects: tuple[AbstractEffect, ...] = ()
+
+    def __check_init__(self) -> None:
+        """Check the types of the stages.
+
+        Raises:
+            InputError: If one is of another type; the message names classes that it may be of.
+        """
+        for name, (base, classes) in _STAGE_CLASSES.items():
+            for stage in self.effects if name == "effects" else (getattr(self, name),):
+                if not isinstance(stage, base):
+                    kind = f"the class {stage.__name__}" if isinstance(stage, type) else f"a {type(stage).__name__}"
+                    raise InputError(f"{type(self).__name__}: {name} cannot be {kind}: give {classes}")
 
     @property
     def signals(self) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ def analyse_cycles(
     analysed, refused = [], []
     for number, (cooling, heating) in enumerate(pairs, 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
-        progress(f"{name}: cycle {number} of {len(pairs)}")
+        progress(f"analysing {name}: cycle {number} of {len(pairs)}")
         try:
             loops = [loop for branch in (cooling, heating) for loop in minor_loops(temperature, branch)]
             inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)

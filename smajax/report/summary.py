@@ -30,7 +30,7 @@ _ALMOST_NOTHING = 5e-5
 # Powers of ten beyond which numbers are shown with an exponent.
 _LARGE_EXPONENT = 7
 _SMALL_EXPONENT = -4
-_NOT_CONVERGED = ("interrupted", "steps")
+_NOT_CONVERGED = ("interrupted", "steps", "diverged")
 
 
 class ResidualCode(enum.StrEnum):

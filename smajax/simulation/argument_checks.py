@@ -7,7 +7,9 @@ from smajax.errors import InputError
 
 # What the messages ask for.
 A_PLANT = "a Plant, such as rig.plant of a rig from read_rig"
-A_RECORDING = "a Recording, such as rig.read(..., observed=False) of a file or of a table in memory"
+A_RECORDING = (
+    "a Recording, such as read_recording(...) or rig.read(..., observed=False) of a file or of a table in memory"
+)
 A_STATE = "the state that init returns, or the first result of step"
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError, suggestion
+from smajax.numerics.precision import require_double
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
 from smajax.plant.stages import SURROUNDINGS
@@ -82,7 +83,11 @@ class Inputs(eqx.Module):
 
         Args:
             factor: One factor, or one for each signal in the order of ``Plant.signals``.
+
+        Raises:
+            InputError: If the factor is of single precision.
         """
+        require_double(factor=factor)
         count = self.before.shape[-1] - len(self.surroundings)
 
         def scaled(signals: jax.Array) -> jax.Array:
@@ -201,10 +206,11 @@ def discretise(
             recordings have one shape; by default those of the recording.
 
     Raises:
-        InputError: If an argument is of another type, the recording lacks a channel, the interpolation is unknown, or
-            the step depends on a traced plant.
+        InputError: If an argument is of another type or of single precision, the recording lacks a channel, the
+            interpolation is unknown, or the step depends on a traced plant.
     """
     check_type("discretise", "plant", plant, Plant, A_PLANT)
+    require_double(plant=plant)
     check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
     if interpolation not in _INTERPOLATIONS:

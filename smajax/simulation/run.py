@@ -27,7 +27,7 @@ from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
-from smajax.simulation.integration import integrate_vector_field
+from smajax.simulation.integration import forward_mode_refused, integrate_vector_field
 from smajax.simulation.physical_limits import status_with_limits, within_limits
 from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
 from smajax.simulation.status import SimulationStatus
@@ -224,7 +224,8 @@ def simulate(
             rig's own is ``rig.interpolation``: pass it, since neither plant nor recording has it.
         step: Longest step in s for a recording; ``default_step`` if not given.
         solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
-            adaptive step size, in place of the implicit step: a second opinion. Not every plant has one.
+            adaptive step size, in place of the implicit step: a second opinion. Not every plant has one. A solver
+            without an error estimate (``diffrax.Euler()``) takes the steps of the grid.
         adjoint: With ``solver``: how diffrax differentiates, ``diffrax.RecursiveCheckpointAdjoint()`` if not given.
             It has reverse mode only, and ``diffrax.ForwardMode()`` forward mode only; ``diffrax.DirectAdjoint()``,
             which is compiled more slowly, has both.
@@ -238,8 +239,9 @@ def simulate(
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
         InputError: If an argument is of another type or of single precision, the recording lacks a channel, the grid
             would depend on a traced plant, an option does not apply, or the plant has no vector field for ``solver``.
-        DerivativeError: When a second derivative is taken, one in reverse mode with ``diffrax.ForwardMode()``, or one
-            with ``solver`` for a material law with driving forces or a mechanism with inertia.
+        DerivativeError: When a second derivative is taken, one in reverse mode with ``diffrax.ForwardMode()``, one in
+            forward mode with the default adjoint, or one with ``solver`` for a material law with driving forces or a
+            mechanism with inertia.
     """
     name = inputs.name if isinstance(inputs, Recording) else "simulate"
     inputs = _on_a_grid(plant, inputs, interpolation, step)
@@ -249,7 +251,8 @@ def simulate(
     if solver is None:
         result = simulate_inputs(present, inputs)
     else:
-        result = simulate_vector_field(present, inputs, solver, adjoint)
+        with forward_mode_refused():
+            result = simulate_vector_field(present, inputs, solver, adjoint)
     if throw and not isinstance(result.status, Tracer):
         status = SimulationStatus(int(result.status))
         if status is not SimulationStatus.done:

@@ -152,6 +152,68 @@ def test_a_loaded_study_says_why_it_did_not_succeed(fitted, tmp_path):
     assert loaded.reason == "interrupted" and not loaded.success
 
 
+def stop_after(step):
+    """Return a callback that stops a fit after so many steps."""
+
+    def stop(event):
+        if event.step == step:
+            raise StopIteration
+
+    return stop
+
+
+def stop_at_tanaka(event):
+    if event.text == "fitting tanaka":
+        raise StopIteration
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (
+            lambda rig, train, holdout: sma.fit(rig, train, starts=2, progress=stop_after(3)),
+            "interrupted with the best point so far",
+        ),
+        (
+            lambda rig, train, holdout: sma.compare(
+                rig, train, holdout=holdout, models=["transfer-function-one-pole", "tanaka"], progress=stop_at_tanaka
+            ),
+            "interrupted: tanaka not compared",
+        ),
+    ],
+)
+def test_a_study_that_was_stopped_has_the_same_reason_after_loading(call, reason, files, tmp_path):
+    study = call(files / "rig.toml", files / "train.csv", files / "holdout.csv")
+    study.save(tmp_path / "stopped")
+    loaded = sma.load(tmp_path / "stopped")
+    assert (study.reason, study.exit_code) == (loaded.reason, loaded.exit_code) == (reason, 130)
+    assert json.loads((tmp_path / "stopped" / "run.json").read_text("utf-8"))["reason"] == reason
+
+
+def test_a_property_is_taken_by_its_name_where_there_is_one_stress():
+    one = sma.thermal_cycle_properties(ISOBARIC.with_name("cycles.csv"))
+    low, high = one["austenite_finish"].interval
+    assert low < one["austenite_finish"].value < high and one["austenite_finish"] == one.means[0][1]["austenite_finish"]
+    sentence = (
+        r"cycles of 3 stresses or recordings \(\d+ MPa, \d+ MPa, \d+ MPa\), each with its own 'austenite_finish': "
+        r"take one of \.means, as in study\.means\[0\]\[1\]\['austenite_finish'\], or give a recording under one stress"
+    )
+    with pytest.raises(sma.InputError, match=sentence):
+        sma.thermal_cycle_properties(ISOBARIC)["austenite_finish"]
+
+
+def test_a_cancelled_analysis_of_cycles_says_what_it_did():
+    def stop(event):
+        if "cycle 2" in event.text:
+            raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match="^cancelled while analysing train.csv: cycle 2 of 6, before there was"):
+        sma.thermal_cycle_properties(ISOBARIC, progress=stop)
+    events = []
+    sma.thermal_cycle_properties(ISOBARIC, progress=events.append)
+    assert events[-1].text == "writing the report"
+
+
 def test_a_dictionary_stands_for_a_rig_file(files):
     sections = tomllib.loads((files / "rig.toml").read_text("utf-8"))
     assert sma.predict(sections, files / "holdout.csv").success
@@ -290,7 +352,9 @@ def test_mistakes_have_the_sentences_of_the_commands(files):
 
 # Calls with an argument of a wrong type, and the sentences that refuse them.
 A_PLANT = "give a Plant, such as rig.plant of a rig from read_rig"
-A_RECORDING = "a Recording, such as rig.read(..., observed=False) of a file or of a table in memory"
+A_RECORDING = (
+    "a Recording, such as read_recording(...) or rig.read(..., observed=False) of a file or of a table in memory"
+)
 A_STATE = "give the state that init returns, or the first result of step"
 WRONG_TYPES = {
     "sma.simulate(rig, inputs)": f"simulate: plant is of type Rig: {A_PLANT}",
@@ -306,12 +370,20 @@ WRONG_TYPES = {
     "sma.rollout(rig, loop, reference)": f"rollout: system is of type Rig: {A_PLANT}, or a SampledPlant",
     "sma.rollout(plant, loop.controller, reference)": "rollout: loop is of type PID: give a ClosedLoop, such as "
     "ClosedLoop(controller, channel=...)",
+    "dataclasses.replace(plant, wire=0.2)": "Plant: wire cannot be a float: give a Wire or a Coil",
+    "dataclasses.replace(plant, drive=sma.CurrentDrive)": "Plant: drive cannot be the class CurrentDrive: give a "
+    "CurrentDrive, VoltageDrive, PowerDrive, DutyDrive or NoDrive",
+    "dataclasses.replace(plant, material='brinson')": "Plant: material cannot be a str: give a law of "
+    "smajax.materials, such as that of load_material",
+    "dataclasses.replace(plant, effects=('latent-heat',))": "Plant: effects cannot be a str: give instances of classes "
+    "of smajax.effects, such as (LatentHeat(strength=1e8),)",
 }
 
 
 def test_arguments_of_a_wrong_type_are_named_with_what_is_taken():
     """In a new process, since the tests' own checks of types would come first."""
     code = f"""
+import dataclasses
 import numpy as np
 import jax
 import smajax as sma

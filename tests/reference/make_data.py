@@ -18,6 +18,8 @@ from tests.reference.wire import CONTROLS, Rig, State, heating
 
 FOLDER = Path(__file__).parents[2] / "data" / "recordings"
 SPLITS = ("train", "select", "holdout")
+# A further recording of some folders: whole cycles under one stress.
+CYCLES = {"isobaric": "cycles"}
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
@@ -205,6 +207,15 @@ def isobaric(rng: np.random.Generator) -> Columns:
     return {"temperature [degC]": np.array(temperature).round(2), "stress [MPa]": np.array(stress).round(2)}
 
 
+def whole_cycles() -> Columns:
+    """Return three whole cycles under 150 MPa, loaded hot, half a kelvin a row."""
+    loading = np.arange(0.0, 150.0, 2.0)
+    cycle = np.concatenate([np.arange(140.0, 20.0, -0.5), np.arange(20.0, 140.0, 0.5)])
+    temperature = np.concatenate([np.full(len(loading), 140.0), np.tile(cycle, 3), [140.0]])
+    stress = np.concatenate([loading, np.full(len(temperature) - len(loading), 150.0)])
+    return {"temperature [degC]": temperature, "stress [MPa]": stress}
+
+
 def coil_dead_weight(rng: np.random.Generator) -> Columns:
     """Return 200 s of current through a lifting coil: many partial loops between full ones."""
     time, bands = clock(200.0, 10.0), np.array([[57.0, 71.0], [87.0, 105.0]])
@@ -311,6 +322,11 @@ def in_si(columns: Columns) -> dict[str, Floats]:
     return {split[header][0]: values * sizes.get(split[header][1], 1.0) for header, values in columns.items()}
 
 
+def splits(name: str) -> tuple[str, ...]:
+    """Return the recordings of a folder."""
+    return (*SPLITS, CYCLES[name]) if name in CYCLES else SPLITS
+
+
 def truth(nominal: RigFile, name: str) -> RigFile:
     """Return the rig with the true values of a folder's recordings."""
     rig = nominal.changed(**TRUTHS[name])
@@ -320,8 +336,8 @@ def truth(nominal: RigFile, name: str) -> RigFile:
 def make(name: str, split: str) -> tuple[Columns, Floats]:
     """One recording in the file's units, and the exact observed series in SI behind it."""
     recipe = RECIPES[name]
-    rng = np.random.default_rng([list(RECIPES).index(name), SPLITS.index(split)])
-    columns = recipe.inputs(rng)
+    rng = np.random.default_rng([list(RECIPES).index(name), [*SPLITS, CYCLES.get(name)].index(split)])
+    columns = whole_cycles() if split == CYCLES.get(name) else recipe.inputs(rng)
     rig = truth(read_rig(FOLDER / name / "rig.toml"), name)
     run = simulate(rig, in_si(columns), **recipe.options)
     for channel in (recipe.observed, *recipe.extra):
@@ -372,7 +388,7 @@ def main(names: list[str]) -> None:
     for name in names or RECIPES:
         folder = FOLDER / name
         (folder / "truth.toml").write_text(truth_text(name, read_rig(folder / "rig.toml")), encoding="utf-8")
-        for split in SPLITS:
+        for split in splits(name):
             columns, _ = make(name, split)
             write_csv(folder / f"{split}.csv", columns)
             print(f"{name}/{split}.csv: {len(next(iter(columns.values())))} rows")

@@ -38,6 +38,10 @@ class TestNames:
                 before, after = parameters.get(plant, other), parameters.get(changed, other)
                 assert jnp.array_equal(before, after, equal_nan=True), (name, other)
 
+    def test_none_is_no_value(self, plant):
+        with pytest.raises(InputError, match="^wire.length is None: give a number in m$"):
+            parameters.replace(plant, {"wire.length": None})
+
     def test_sections_of_the_mechanism_have_names_too(self, plant):
         assert {"load.mass", "wire.length", "sensor.displacement_gain", "heat.capacity"} <= set(
             parameters.all_declarations(plant)

@@ -10,15 +10,17 @@ limits of its command.
 import abc
 import dataclasses
 import inspect
-from typing import TYPE_CHECKING, Any, TypeVar
+import math
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.errors import InputError
-from smajax.parameters import CheckedModule, declarations
+from smajax.errors import InputError, suggestion
+from smajax.parameters import CheckedModule, declarations, is_concrete
 
 _Controller = TypeVar("_Controller", bound="AbstractController")
 # Fields that are given by rig and sampling, and are neither gains nor options.
@@ -50,6 +52,25 @@ class AbstractController(CheckedModule):
         lower: eqx.AbstractVar[jax.Array]
         upper: eqx.AbstractVar[jax.Array]
         period: eqx.AbstractVar[float]
+
+    def __check_init__(self) -> None:
+        """Check the limits, the period, and the options whose type is a ``Literal``.
+
+        Raises:
+            InputError: If one of them is not possible.
+        """
+        name = type(self).__name__
+        if is_concrete(self.lower) and is_concrete(self.upper) and np.any(self.lower > self.upper):
+            raise InputError(f"{name}: lower = {self.lower:g} is above upper = {self.upper:g}: exchange the two")
+        if not 0.0 < self.period < math.inf:
+            raise InputError(f"{name}: period = {self.period:g} s is not possible: give a time above 0 s")
+        for field in dataclasses.fields(self):
+            value, choices = getattr(self, field.name), get_args(field.type)
+            if get_origin(field.type) is Literal and value not in choices:
+                hint = suggestion(str(value), map(str, choices))
+                raise InputError(
+                    f"{name}: {field.name} = {value!r} is not known{hint}: give one of {', '.join(map(repr, choices))}"
+                )
 
     @classmethod
     def with_default_gains(

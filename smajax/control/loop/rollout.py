@@ -32,6 +32,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
 from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.simulation.argument_checks import A_PLANT, check_type
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
@@ -78,8 +79,9 @@ class Scenario(eqx.Module):
             changes: Parameters that change with time by name, shape ``(n,)`` each, internal units.
 
         Raises:
-            InputError: if the reference is not a series of values.
+            InputError: if the reference is not a series of values, or something is of single precision.
         """
+        require_double(reference=reference, initial_reference=initial_reference, changes=changes)
         reference = jnp.asarray(reference, jnp.float64)
         if reference.ndim != 1 or not reference.shape[0]:
             raise InputError(f"the reference has the shape {reference.shape}: give one value for each sample")
@@ -147,13 +149,14 @@ def rollout(
         Channels and commands at the samples, the final states, and the status.
 
     Raises:
-        InputError: if an argument is of another type, periods differ, the numbers of wires differ, the plant has no
-            channel of the loop's name, the limits of two wires never heat one of them, or the step of a traced plant is
-            not given.
+        InputError: if an argument is of another type or of single precision, periods differ, the numbers of wires
+            differ, the plant has no channel of the loop's name, the limits of two wires never heat one of them, or the
+            step of a traced plant is not given.
         NumericsError: if the simulation fails and ``throw`` is set; the message says what to do.
     """
     check_type("rollout", "system", system, Plant | AbstractSampledSystem, f"{A_PLANT}, or a SampledPlant")
     check_type("rollout", "loop", loop, ClosedLoop, "a ClosedLoop, such as ClosedLoop(controller, channel=...)")
+    require_double(system=system, loop=loop, reference=reference, initial_reference=initial_reference)
     if period is not None:
         check_same_period("rollout", period, "controller", loop.period)
     sampled = _sampled(system, loop.period, step)

@@ -106,7 +106,7 @@ def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, pr
         starts=starts,
         seed=seed,
         band=task.band,
-        progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}", count),
+        progress=lambda count, cost: progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count),
     )
 
 

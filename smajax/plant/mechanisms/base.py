@@ -56,10 +56,11 @@ class AbstractMechanism(CheckedModule):
         wire_class: Geometry of the wire in a rig file.
     """
 
-    wires: eqx.AbstractClassVar[int]
-    unknowns: eqx.AbstractClassVar[int]
-    prescribed: eqx.AbstractClassVar[tuple[str, ...]]
-    coordinate: eqx.AbstractClassVar[str]
+    required_attributes = ("wires", "unknowns", "prescribed", "coordinate")
+    wires: ClassVar[int]
+    unknowns: ClassVar[int]
+    prescribed: ClassVar[tuple[str, ...]]
+    coordinate: ClassVar[str]
     extra_channels: ClassVar[tuple[str, ...]] = ()
     inertial: ClassVar[bool] = False
     wire_class: ClassVar[type[AbstractWire]] = Wire

@@ -102,7 +102,9 @@ class ProfileEntry(Part):
 class SolverEntry(Part):
     """How the search ended, and its effort."""
 
-    code: Literal["converged", "stalled", "steps", "interrupted", "failed"] = Field(description="how it ended")
+    code: Literal["converged", "stalled", "steps", "interrupted", "failed", "diverged"] = Field(
+        description="how it ended"
+    )
     text: str = Field(description="the same as a sentence")
     steps: int = Field(ge=0, description="number of steps from the best start")
     simulations: int = Field(ge=0, description="number of simulations")

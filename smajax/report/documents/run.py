@@ -36,6 +36,7 @@ class RunDocument(_RunHead):
     controller: str | None = Field(None, description="tune: file name of the controller")
     sweep: str | None = Field(None, description="sweep: file name of the sweep")
     header: str | None = Field(None, description="sweep: hash that identifies the sweep")
+    reason: str | None = Field(None, description="why the study did not succeed; missing if it did")
     files: list[str] = Field(description="the files of the folder")
 
 

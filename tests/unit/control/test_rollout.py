@@ -1,6 +1,7 @@
 """The public rollout and loop: defaults, one period for all parts, status, and derivatives in both modes."""
 
 import dataclasses
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.pid import PID
 from smajax.control.estimators.extended_kalman_filter import ExtendedKalmanFilter
 from smajax.control.estimators.thermal_observer import ThermalObserver, UnstableObserverError
 from smajax.control.loop import Allocation, ClosedLoop, Rollout, Scenario, TemperatureLimiter, rollout
@@ -216,3 +218,38 @@ def test_limits_of_a_controller_without_a_pid():
     constant = Constant(jnp.zeros(()), jnp.asarray(0.3), PERIOD)
     limited = constant.with_limits(jnp.asarray(0.1), jnp.asarray(0.2))
     assert [float(v) for v in limited.limits] == [0.1, 0.2] and constant.constants() == {}
+
+
+def test_a_reference_of_single_precision_is_refused(plant):
+    single = REFERENCE.astype(np.float32)
+    with pytest.raises(InputError, match="^reference is of float32 and smajax needs double precision"):
+        rollout(plant, loop_of(), single)
+    with pytest.raises(InputError, match="^initial_reference is of float32"):
+        rollout(plant, loop_of(), REFERENCE, initial_reference=jnp.float32(0.0))
+    with pytest.raises(InputError, match=r"^changes\['environment.ambient'\] is of float32"):
+        Scenario.noiseless(REFERENCE, 0.0, {"environment.ambient": single})
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"period": 0.0}, "PID: period = 0 s is not possible: give a time above 0 s"),
+        ({"period": -0.1}, "PID: period = -0.1 s is not possible: give a time above 0 s"),
+        ({"lower": 0.5, "upper": 0.4}, "PID: lower = 0.5 is above upper = 0.4: exchange the two"),
+    ],
+)
+def test_a_controller_of_python_is_checked_like_one_of_a_file(fields, sentence):
+    with pytest.raises(InputError, match=sentence):
+        PID(**{"kp": 2.0, "period": 0.1, **fields})
+
+
+class Switched(PID):
+    """The types of smajax's own classes are checked before, by the import hook of the tests."""
+
+    mode: Literal["fast", "slow"] = eqx.field(static=True, kw_only=True, default="fast")
+
+
+def test_an_option_of_a_controller_is_one_of_its_choices():
+    sentence = r"Switched: mode = 'slw' is not known \(did you mean 'slow'\?\): give one of 'fast', 'slow'"
+    with pytest.raises(InputError, match=sentence):
+        Switched(kp=2.0, period=0.1, mode="slw")

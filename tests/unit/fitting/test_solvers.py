@@ -7,6 +7,7 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
+import smajax as sma
 from smajax.errors import InputError
 from smajax.fitting import optimistix_search
 from smajax.fitting.bound_transformation import BoundTransformation
@@ -14,6 +15,7 @@ from smajax.fitting.fit import check_solver, fit
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.optimistix_search import OptimistixSearch
+from smajax.recordings.datasets import data_path
 from tests.support import plants
 from tests.unit.fitting.test_fit import TRUTH, Settings, recorded
 
@@ -108,12 +110,14 @@ def test_a_search_that_ends_above_its_best_point_has_not_converged():
     lower, upper = np.array([0.1, -np.inf]), np.array([2.6, 4.0])
     search = OptimistixSearch(SOLVERS[1], rosenbrock, 10.0, np.array([[0.2, 1.0]]), lower, upper, size=2)
     result = search.advance(200).result()
-    assert result.statuses == [SolverStatus.stalled] and result.steps < 200
+    assert result.statuses == [SolverStatus.diverged] and result.steps < 200
     np.testing.assert_allclose(result.points, [[0.2, 1.0]], rtol=1e-12)
     assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.array([0.2, 1.0]), 10.0) ** 2)), rel=1e-12)
 
 
-@pytest.mark.parametrize(("last", "status"), [(2.0, "stalled"), (1.0 + 1e-12, "converged")])
+@pytest.mark.parametrize(
+    ("last", "status"), [(2.0, "diverged"), (np.nan, "diverged"), (1.001, "stalled"), (1.0 + 1e-12, "converged")]
+)
 def test_a_solver_that_ends_above_the_best_cost_has_not_converged(monkeypatch, last, status):
     """Without an error of the solver, and up to rounding."""
     steps = iter([(0.5, False, 1.0), (0.7, True, last)])
@@ -223,6 +227,15 @@ def test_a_fit_s_own_solver_runs_under_optimistix(fitted):
     )
     values = np.asarray(solution.value) * [u.scale for u in problem.unknowns]
     np.testing.assert_allclose(values, [e.estimate for e in fitted.estimates], rtol=1e-6)
+
+
+def test_a_study_whose_solver_diverged_is_no_success():
+    """Gauss-Newton without damping leaves these start values at once; it was a success with them as estimates."""
+    rig = sma.read_rig(data_path("recordings", "dead-weight", "rig.toml"))
+    train = rig.read(data_path("recordings", "dead-weight", "train.csv")).slice(0.0, 30.0)
+    study = sma.fit(rig, train, starts=1, solver=optx.GaussNewton(1e-8, 1e-8))
+    assert study.document["solver"]["code"] == "diverged" and study.exit_code == 3
+    assert "far above its best point" in study.reason and study.reason == study.document["solver"]["text"]
 
 
 def test_something_else_as_solver_is_refused():

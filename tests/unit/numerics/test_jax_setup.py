@@ -123,3 +123,27 @@ except InputError as error:
         assert "JAX computes in single precision and smajax needs double precision: call " in sentence
         assert "jax_enable_x64" in sentence and "JAX_ENABLE_X64" in sentence and "\n" not in sentence
     assert python(code.format(switch="")) == python(code.format(switch=""), JAX_ENABLE_X64="1") == ""
+
+
+@pytest.mark.parametrize(
+    "call", ["sma.discretise(plant, recording)", "inputs.scale(2.0)", "sma.rollout(plant, loop, np.ones(4))"]
+)
+def test_double_precision_that_was_switched_off_later_is_refused_by_what_comes_next(call):
+    """Inputs would be of single precision without a word, and a rollout would end in a TypeError of JAX."""
+    code = f"""
+import jax
+import numpy as np
+import smajax as sma
+from smajax.recordings.datasets import data_path
+folder = data_path("recordings", "dead-weight")
+rig = sma.read_rig(folder / "rig.toml")
+plant, recording = rig.plant, rig.read(folder / "train.csv").slice(0.0, 1.0)
+inputs = sma.discretise(plant, recording)
+loop = sma.ClosedLoop(sma.controllers.PID(kp=1.0, period=0.1), channel="displacement")
+jax.config.update("jax_enable_x64", False)
+try:
+    {call}
+except sma.InputError as error:
+    print(error)
+"""
+    assert python(code).startswith("JAX computes in single precision and smajax needs double precision: call ")

@@ -21,7 +21,7 @@ from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.effects.registry import EFFECTS, effects_by_key
 from smajax.plant.materials import AbstractBandKinetics, AbstractMaterial, Brinson, Tanaka
 from smajax.plant.materials.registry import MATERIALS
-from smajax.plant.mechanisms import AbstractElasticLoad, DeadWeight
+from smajax.plant.mechanisms import AbstractElasticLoad, AbstractMechanism, DeadWeight
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.registry import Registry
 from tests.conftest import ROOT
@@ -225,6 +225,33 @@ def test_two_effects_of_one_key_are_an_error():
 def test_a_class_that_lacks_methods_is_told_at_construction(cls):
     with pytest.raises(TypeError, match=rf"{cls.__name__} cannot be constructed: define the method '\w+' \("):
         cls()
+
+
+class EmptyMechanism(AbstractMechanism):
+    pass
+
+
+class EmptyEffect(HeatEffect):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("cls", "sentence"),
+    [
+        (
+            EmptyMechanism,
+            "EmptyMechanism cannot be constructed: define 'wires', 'unknowns', 'prescribed', 'coordinate' in the body of the "
+            "class; define the methods 'balance' (evaluate the residual of the force balance",
+        ),
+        (EmptyEffect, "EmptyEffect cannot be constructed: define 'strength' in the body of the class"),
+    ],
+)
+def test_a_class_that_lacks_attributes_is_told_in_the_same_words(cls, sentence):
+    with pytest.raises(TypeError) as caught:
+        cls()
+    assert str(caught.value).startswith(sentence)
+    with pytest.raises(InputError, match="in the body of the class"):
+        register("mechanism" if cls is EmptyMechanism else "effect", "my-empty", cls)
 
 
 def test_shipped_classes_are_importable_by_name_and_list_their_parameters():

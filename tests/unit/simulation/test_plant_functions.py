@@ -174,6 +174,8 @@ def test_what_does_not_fit_is_named(plant, inputs):
         step(plant, state, signal.astype(jnp.float32), DT)
     with pytest.raises(InputError, match=r"inputs\.before is of float32"):
         simulate(plant, dataclasses.replace(inputs, before=inputs.before.astype(jnp.float32)))
+    with pytest.raises(InputError, match="factor is of float32"):
+        inputs.scale(jnp.float32(1.1))
     with pytest.raises(InputError, match="a parameter is an array of float32"):
         Wire(jnp.float32(1e-4), 0.1)
     with pytest.raises(InputError, match="the inputs have 1 signals and the plant is driven by current_1, current_2"):

@@ -1,6 +1,7 @@
 """The plant as a differential equation, integrated by diffrax: a second opinion on the implicit step."""
 
 import dataclasses
+from functools import partial
 
 import diffrax as dfx
 import jax
@@ -19,6 +20,7 @@ from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial
 from smajax.recordings.datasets import data_path
 from smajax.simulation.inputs import discretise
+from smajax.simulation.integration import check_solver
 from smajax.simulation.run import simulate
 from smajax.simulation.vector_field import FieldArguments, check_vector_field, initial_variables, rates
 from tests.support import plants
@@ -103,6 +105,54 @@ def test_the_differential_equation_has_its_derivative(adjoint, last_temperature,
 def test_an_adjoint_without_reverse_mode_is_refused(adjoint, sentence, last_temperature):
     with pytest.raises(InputError, match=f"^simulate: {sentence}"):
         jax.grad(lambda h0: last_temperature(h0, solver=dfx.Tsit5(), adjoint=adjoint))(100.0)
+
+
+def test_the_default_adjoint_names_what_has_forward_mode(last_temperature):
+    with pytest.raises(
+        DerivativeError, match="^simulate: adjoint RecursiveCheckpointAdjoint has no derivatives in forward"
+    ):
+        jax.jacfwd(lambda h0: last_temperature(h0, solver=dfx.Tsit5()))(100.0)
+
+
+def test_a_rejected_step_does_not_spoil_the_gradient():
+    """Within these samples the solver tries steps at which the search for the rates fails; the gradient was NaN."""
+    rig = read_rig(data_path("recordings", "bias-spring", "rig.toml"))
+    recording = rig.read(data_path("recordings", "bias-spring", "train.csv")).slice(0.0, 3.0)
+    inputs = discretise(rig.plant, recording, interpolation=rig.interpolation)
+
+    def mean(h0, **options):
+        plant = parameters.replace(rig.plant, {"heat.h0": h0})
+        return jnp.mean(simulate(plant, inputs, **options).channels["displacement"])
+
+    implicit, by_diffrax = (float(jax.grad(partial(mean, **o))(100.0)) for o in ({}, {"solver": dfx.Tsit5()}))
+    assert by_diffrax == pytest.approx(implicit, rel=0.01) and abs(implicit) > 1e-6
+
+
+def test_a_solver_without_an_error_estimate_takes_the_steps_of_the_grid():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 12, 0.15)
+    exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5()).channels["temperature"]
+    errors = [
+        float(
+            jnp.max(jnp.abs(simulate(plant, recording, step=step, solver=dfx.Euler()).channels["temperature"] - exact))
+        )
+        for step in (0.02, 0.01)
+    ]
+    assert 0.8 < np.log2(errors[0] / errors[1]) < 1.2, errors
+
+
+@pytest.mark.parametrize(
+    ("solver", "sentence"),
+    [
+        ("Tsit5", "solver = 'Tsit5' is not a solver of diffrax: give one, such as diffrax"),
+        (dfx.Tsit5, "solver = Tsit5 is not a solver of diffrax: give one"),
+        (dfx.KenCarp4(), "solver KenCarp4 is for several terms or for noise, and a plant has one vector field: give a"),
+        (dfx.SemiImplicitEuler(), "solver SemiImplicitEuler is for several terms or for noise"),
+    ],
+)
+def test_what_is_no_solver_of_one_vector_field_is_refused(solver, sentence):
+    with pytest.raises(InputError, match=f"^simulate: {sentence}"):
+        check_solver(solver)
+    check_solver(dfx.HalfSolver(dfx.Heun()))
 
 
 def test_the_rates_have_first_derivatives_in_both_modes():
