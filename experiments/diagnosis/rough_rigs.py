@@ -40,6 +40,7 @@ from experiments.common.rough_recordings import EFFECTS, KINDS, PAIRS, RoughRig,
 import numpy as np
 
 import smajax as sma
+from smajax.diagnosis.structure import VARIANTS
 from smajax.errors import NumericsError
 
 SPLITS = {0: "counted on", 1: "chosen on"}  # by the parity of the seed
@@ -74,10 +75,13 @@ def fit_over_noise(rig: RoughRig, hidden: dict[str, float]) -> tuple[float, floa
 
 
 def named(study: sma.DiagnosisStudy) -> tuple[list[str], list[str]]:
-    """Return the keys that a diagnosis names as facts, and the further ones that it names as candidates, in order."""
-    facts = list(study.effects)
-    others = dict.fromkeys(key for effect in facts for key in study.equivalent.get(effect, ()))
-    return facts, list(others)
+    """Return the keys that a diagnosis names as facts, and the further ones that it names as candidates, in order.
+
+    The effects that stand for cells and grains are neither: every rough rig has them.
+    """
+    facts = [key for key in study.effects if key not in VARIANTS[study.structure]]
+    equivalent = (key for effect in facts for key in study.equivalent.get(effect, ()))
+    return facts, list(dict.fromkeys([*equivalent, *study.candidates]))
 
 
 def run(lines: Lines, case: Case) -> Facts:
@@ -108,13 +112,15 @@ def diagnosed(rig: RoughRig, train: Any, select: Any, holdout: Any, seed: int) -
         study = sma.diagnose(tomllib.loads(rig.text), train, select=select, holdout=holdout, seed=seed)
     except NumericsError as error:
         say(str(error))
-        return {"verdict": "failed", "effects": [], "candidates": [], "before": math.inf, "after": math.inf}
+        empty = {"effects": [], "candidates": [], "structure": "neither"}
+        return {"verdict": "failed", "before": math.inf, "after": math.inf} | empty
     effects, candidates = named(study)
     errors, scale = study.rmse[rig.channel], UNITS[study.rmse[rig.channel]["unit"]] / rig.noise
     before, after = (
         math.inf if errors[f"holdout_{w}"] is None else errors[f"holdout_{w}"] * scale for w in ("before", "after")
     )
-    return {"verdict": study.verdict, "effects": effects, "candidates": candidates, "before": before, "after": after}
+    named_entries = {"effects": effects, "candidates": candidates, "structure": study.structure}
+    return {"verdict": study.verdict, "before": before, "after": after} | named_entries
 
 
 def cases(kinds: list[str], seeds: int, quick: bool, fits: bool) -> Iterator[Case]:
@@ -161,14 +167,14 @@ def share_caused(case: Facts) -> float:
 
 def case_table(facts: list[Facts]) -> str:
     """Return the table of the cases."""
-    head = "rig, seed, split, hidden, facts, candidates, first right, spurious, before, after, without, their share, s"
+    head = "rig, seed, split, hidden, structure, facts, candidates, first right, spurious, before, after, without, their share, s"
     lines = []
     for case in facts:
         numbers = [f"{case[key]:.1f}" for key in ("before", "after", "without")]
         right, share = ("yes" if is_first(case) else "no", f"{share_caused(case):.2f}") if case["keys"] else ("-", "-")
         names = [", ".join(case[key]) or "none" for key in ("effects", "candidates")]
         wrong, seconds = ", ".join(spurious(case)) or "none", f"{case['seconds']:.0f}"
-        start = (case["group"], str(case["seed"]), SPLITS[case["seed"] % 2], case["case"])
+        start = (case["group"], str(case["seed"]), SPLITS[case["seed"] % 2], case["case"], case["structure"])
         lines.append([*start, *names, right, wrong, *numbers, share, seconds])
     return table(head.split(", "), lines)
 

@@ -53,8 +53,8 @@ def diagnose(
     2. Where they leave more than noise, decide whether the wire needs cells and grains, and select effects next to them
        (``structured_selection``).
     3. Keep as facts those that explain most of the excess; the others are candidates (``support``). Where more than
-       noise remains, reject them if they do not improve the holdout. Only then has the holdout a part in the choice of
-       the effects (``Diagnosis.holdout_decided``).
+       noise remains on a wire of one cell and grain, reject them if they do not improve the holdout. Only then has the
+       holdout a part in the choice of the effects (``Diagnosis.holdout_decided``).
     4. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
     5. Locate an unexplained residual (``localisation``), and, on a wire of one cell, find its form and propose an input
        that distinguishes equivalent effects.
@@ -85,12 +85,10 @@ def diagnose(
         _drop_absent(evaluator, state, absent[-1])
         after = _last_refit(evaluator.problem, state, structure, before)
     verdict = _verdict(evaluator, state, after, structure)
-    holdout_decided = verdict == "partial"
-    if holdout_decided and not improves_holdout(evaluator, before, after, rig):
+    holdout_decided = verdict == "partial" and not structure.effects
+    if holdout_decided and not improves_holdout(evaluator, before, after):
         _reject_all(state, RejectionCode.holdout)
-        evaluator, after, verdict = rig, before, "unresolved"
-        structure = UNIFORM._replace(errors=structure.errors)
-        state.base_fit = state.current = without.base_fit
+        after, verdict = before, "unresolved"
     stage = term = experiment = None
     budget: tuple[BudgetEntry, ...] = ()
     unexplained = verdict in ("unresolved", "partial")
@@ -139,9 +137,7 @@ def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
     return refits[-1]
 
 
-def improves_holdout(
-    evaluator: CandidateEvaluator, before: Refit, after: Refit, without: CandidateEvaluator | None = None
-) -> bool:
+def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
     """Return whether the RMSE of the holdout falls significantly in any channel, or only the effects predict it at all.
 
     The first half of its samples decides, so that the second one can be used for intervals (``error_budget``).
@@ -150,10 +146,9 @@ def improves_holdout(
         evaluator: The evaluator, whose seed the bootstrap uses.
         before: The fit without effects.
         after: The fit with the accepted effects.
-        without: The evaluator of ``before``, where the structure of the wire is another one.
     """
-    problem, pairs = evaluator.problem, ((without or evaluator, before), (evaluator, after))
-    residuals, statuses = zip(*(e.problem.report(refit, HOLDOUT) for e, refit in pairs), strict=True)
+    problem = evaluator.problem
+    residuals, statuses = zip(*(problem.report(refit, HOLDOUT) for refit in (before, after)), strict=True)
     if statuses[1] is not SimulationStatus.done:
         return False
     series = [problem.series(residual, HOLDOUT) for residual in residuals]
