@@ -167,7 +167,10 @@ def share_caused(case: Facts) -> float:
 
 def case_table(facts: list[Facts]) -> str:
     """Return the table of the cases."""
-    head = "rig, seed, split, hidden, structure, facts, candidates, first right, spurious, before, after, without, their share, s"
+    head = (
+        "rig, seed, split, hidden, structure, facts, candidates, first right, spurious, before, after, without, "
+        "their share, s"
+    )
     lines = []
     for case in facts:
         numbers = [f"{case[key]:.1f}" for key in ("before", "after", "without")]

@@ -25,6 +25,7 @@ from smajax.diagnosis.result import Conclusion, Diagnosis, summarise
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import UNIFORM, Structure
 from smajax.diagnosis.structured_selection import select_with_structure
+from smajax.diagnosis.support import judge_effects
 from smajax.errors import NumericsError
 from smajax.progress import CallbackStop, stoppable
 from smajax.simulation.status import SimulationStatus
@@ -85,6 +86,12 @@ def diagnose(
         _drop_absent(evaluator, state, absent[-1])
         after = _last_refit(evaluator.problem, state, structure, before)
     verdict = _verdict(evaluator, state, after, structure)
+    if verdict == "partial":
+        facts = state.accepted
+        judge_effects(evaluator, state, final=True)
+        if state.accepted != facts:
+            after = _last_refit(evaluator.problem, state, structure, before)
+            verdict = _verdict(evaluator, state, after, structure)
     holdout_decided = verdict == "partial" and not structure.effects
     if holdout_decided and not improves_holdout(evaluator, before, after):
         _reject_all(state, RejectionCode.holdout)

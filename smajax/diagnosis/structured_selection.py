@@ -13,6 +13,7 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet
 from smajax.diagnosis.forward_selection import accept
 from smajax.diagnosis.plausibility import plausible_fits, refusal
+from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
     UNIFORM,
@@ -63,19 +64,18 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     structured = CandidateEvaluator(problem, evaluator.seed)
     first = problem.fit(EffectSet(), problem.nominal, max_steps=1)
     structured.base_refit(first.base, first.status)
-    facts = state.current.refit.effect_set
-    for key in facts.keys:
-        facts = facts if key in problem.effects else facts.without(key)
-    fit = fit_with_structure(structured, facts, state.current)
+    # Without facts, the structure may also belong to the effect that was accepted first.
+    without = [state.current] if state.accepted else [state.base_fit, *state.accepted_fits[:1]]
+    fits = [fit_with_structure(structured, _allowed_effects(problem, fit.refit.effect_set), fit) for fit in without]
     evaluator.problem.count_simulations(problem.simulations)
-    if not _improves(evaluator, state.current, structured, fit):
+    if not any(_improves(evaluator, *pair, structured) for pair in zip(without, fits, strict=True)):
         return evaluator, state, UNIFORM
-    base = refit(structured, fit, EffectSet()) if facts.keys else fit
+    base = refit(structured, fits[0], EffectSet()) if fits[0].keys else fits[0]
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
     )
     inner.stage_shares, inner.ranking = state.stage_shares, state.ranking
-    _add_effects(structured, inner, fit, report_progress)
+    _add_effects(structured, inner, [fit for fit in fits if fit.keys], bool(state.accepted), report_progress)
     judge_effects(structured, inner)
     if not clearly_better(evaluator, state.current, structured, inner.current):
         return evaluator, state, UNIFORM
@@ -89,8 +89,15 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     return chosen, inner, structure
 
 
+def _allowed_effects(problem: DiagnosisProblem, effect_set: EffectSet) -> EffectSet:
+    """Effects without those that are approximations of cells and grains, which the problem does not have."""
+    for key in effect_set.keys:
+        effect_set = effect_set if key in problem.effects else effect_set.without(key)
+    return effect_set
+
+
 def _improves(
-    evaluator: CandidateEvaluator, without: CandidateFit, structured: CandidateEvaluator, fit: CandidateFit
+    evaluator: CandidateEvaluator, without: CandidateFit, fit: CandidateFit, structured: CandidateEvaluator
 ) -> bool:
     """Whether the structure fits the training split better, and predicts the selection split better."""
     return fit.train_chi2 < without.train_chi2 and clearly_better(evaluator, without, structured, fit)
@@ -99,18 +106,19 @@ def _improves(
 def _add_effects(
     evaluator: CandidateEvaluator,
     state: SelectionState,
-    fit: CandidateFit,
+    fits: list[CandidateFit],
+    has_facts: bool,
     report_progress: Callable[[str], object],
 ) -> None:
-    """Add the effects of a fit next to the structure; if it has none, the best of the candidates."""
-    problem, current, fits = evaluator.problem, state.current, [fit]
+    """Add the effects of the best fit next to the structure; if there were no facts, the candidates compete as well."""
+    problem, current = evaluator.problem, state.current
     if current.at_noise:
         return
-    if not fit.keys:
+    if not has_facts:
         report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
-        fits = successive_halving(evaluator, _candidates(evaluator, current))
-    fits = plausible_fits(problem, state, [f for f in fits if f.train_chi2 < current.train_chi2])
-    best = min(fits, key=lambda f: f.total_chi2, default=None)
+        fits = [*fits, *successive_halving(evaluator, _candidates(evaluator, current))]
+    fits = plausible_fits(problem, state, [fit for fit in fits if fit.train_chi2 < current.train_chi2])
+    best = min(fits, key=lambda fit: fit.total_chi2, default=None)
     if best is None:
         return
     if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):

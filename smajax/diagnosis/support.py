@@ -22,24 +22,30 @@ MIN_MEMBER_SHARE = 0.5
 MIN_MEMBER_SHARE_OF_ALL = 0.05
 
 
-def judge_effects(evaluator: CandidateEvaluator, state: SelectionState) -> None:
+def judge_effects(evaluator: CandidateEvaluator, state: SelectionState, *, final: bool = False) -> None:
     """Separate the accepted effects into facts, which stay accepted, and candidates, which do not.
+
+    Effects that explain the training split down to its noise stay for the joint refit, since that split may not
+    determine them well enough for a prediction.
 
     Args:
         evaluator: The evaluator of the last fit.
         state: The state at the end of the selection, which is changed: ``supports`` gets the evidence, facts first.
+        final: Whether the joint refit has left more than noise, so that such effects are judged as well.
     """
-    candidates: list[Support] = []
+    candidates = [support for support in state.supports if not support.is_fact]
     while state.accepted and not state.current.at_noise:
+        if not final and state.current.train_chi2 < state.acceptable_chi2:
+            break
         weakest = min((_support(evaluator, state, key) for key in state.accepted), key=lambda s: s.share)
         if _are_facts(evaluator, state, weakest):
             break
-        candidates.append(weakest)
+        candidates.insert(0, weakest)
         state.rejected.append(Rejection(weakest.key, RejectionCode.little_explained, weakest.share))
         state.current = _without(evaluator, state, weakest.key)
         state.equivalent.pop(weakest.key, None)
     facts = [_support(evaluator, state, key)._replace(is_fact=True) for key in state.accepted]
-    state.supports = (*facts, *reversed(candidates))
+    state.supports = (*facts, *candidates)
 
 
 def _are_facts(evaluator: CandidateEvaluator, state: SelectionState, weakest: Support) -> bool:

@@ -6,10 +6,9 @@ from typing import Any
 from smajax.diagnosis.candidates import AT_NOISE
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
+from smajax.report.documents.diagnosis import STRUCTURE_KEYS
 
 Document = Mapping[str, Any]
-# Effects that stand for cells and grains.
-STRUCTURE_KEYS = ("end-conduction", "gradual-transformation")
 
 
 def sentences(doc: Document) -> list[str]:

@@ -20,6 +20,8 @@ RejectionCode = Literal[
     "holdout",
 ]
 _ROLES = ["train", "select", "holdout"]
+# Effects that stand for cells and grains among the effects.
+STRUCTURE_KEYS = ("end-conduction", "gradual-transformation")
 
 
 class ErrorEntry(Part):
@@ -308,7 +310,7 @@ class DiagnosisDocument(Document):
             raise ValueError("recordings need the roles train, select and holdout, in this order")
         if self.rmse.keys() != self.noise_floor.keys():
             raise ValueError("rmse and noise_floor have different channels")
-        if unranked := set(self.effects) - {entry.key for entry in self.ranking}:
+        if unranked := set(self.effects) - {entry.key for entry in self.ranking} - set(STRUCTURE_KEYS):
             raise ValueError(f"effects: {min(unranked)} is not in the ranking")
         if unknown := self.equivalent.keys() - set(self.effects):
             raise ValueError(f"equivalent.{min(unknown)} is none of the effects")

@@ -80,6 +80,7 @@ def selected(rounds, monkeypatch):
     evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
     monkeypatch.setattr(outcome, "select_with_structure", lambda evaluator, state, *_: (evaluator, state, UNIFORM))
+    monkeypatch.setattr(outcome, "judge_effects", lambda *_, **__: None)
     monkeypatch.setattr(outcome, "_joint_refit", lambda problem, refit: refit)
     monkeypatch.setattr(outcome, "_last_refit", lambda problem, state, *_: state.current.refit)
     monkeypatch.setattr(outcome, "error_budget", lambda *_: ())

@@ -88,3 +88,13 @@ def test_a_second_effect_that_explains_little_of_all_is_a_candidate():
     state = SelectionState({}, {}, fit_of((), chi2[()]), fit_of(("latent-heat", "slack"), 190.0), 1.05, {})
     judge_effects(evaluator_of(chi2), state)  # pyright: ignore[reportArgumentType]
     assert state.accepted == ("latent-heat",)
+
+
+def test_effects_that_explain_the_training_split_are_judged_after_the_joint_refit():
+    fit = fit_of(("airflow-change",), 60.0)
+    state = SelectionState({}, {}, fit_of((), BASE), CandidateFit(fit.refit, 1.0, 60.0, 0.0), 1.05, {})
+    evaluator = evaluator_of({(): BASE, ("airflow-change",): 60.0})
+    judge_effects(evaluator, state)  # pyright: ignore[reportArgumentType]
+    assert state.accepted == ("airflow-change",)
+    judge_effects(evaluator, state, final=True)  # pyright: ignore[reportArgumentType]
+    assert state.accepted == () and [s.key for s in state.supports] == ["airflow-change"]

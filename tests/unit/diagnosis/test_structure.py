@@ -1,0 +1,159 @@
+"""Structure of the wire in a diagnosis, on a rough rig of the reference simulator, with one effect as a candidate."""
+
+import dataclasses
+import json
+import tomllib
+
+from experiments.common.rough_recordings import draw_rig, record
+
+import numpy as np
+import pytest
+
+from smajax.api.diagnose import DiagnosisStudy
+from smajax.diagnosis.candidates import EffectSet
+from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
+from smajax.diagnosis.outcome import diagnose
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
+from smajax.diagnosis.setup import diagnosed_rig
+from smajax.diagnosis.structure import (
+    CELLS,
+    GRAINS,
+    SPREADS,
+    VARIANTS,
+    candidate_keys,
+    held_values,
+    holding,
+    may_have_structure,
+    structured_problem,
+    with_structure,
+)
+from smajax.files.rig_file import read_rig
+from smajax.plant.effects import catalogue
+from smajax.report.diagnosis import diagnosis_document
+from smajax.report.diagnosis_page import diagnosis_page
+from smajax.report.diagnosis_series import prediction_series
+from tests.unit.diagnosis.test_support import fit_of
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """A drawn dead weight, its recordings, and the problem of its diagnosis."""
+    drawn = draw_rig("dead weight", [3, 11])
+    rig = read_rig(tomllib.loads(drawn.text))
+    recordings = [rig.read(recording) for recording in record(drawn, {})]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smajax.diagnosis.effect_parameters.catalogue", lambda: {"ratcheting": catalogue()["ratcheting"]})
+        settings = dataclasses.replace(rig.fit, noise={"displacement": drawn.noise})
+        yield rig, recordings, DiagnosisProblem(rig.plant, recordings, settings, interpolation=rig.interpolation)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(rough):
+    problem = rough[2]
+    return diagnose(problem, known_noise=problem.noise)
+
+
+@pytest.fixture(scope="module")
+def structured(rough):
+    """The same problem with cells and grains."""
+    return structured_problem(rough[2], state_of(9.0))
+
+
+def state_of(chi2: float, ranking: dict[str, tuple[float, float]] | None = None) -> SelectionState:
+    state = SelectionState({}, {}, fit_of((), chi2), fit_of((), chi2), 1.05, {})
+    for key, (error, gain) in (ranking or {}).items():
+        state.ranking[key] = CandidateSummary(None, gain=gain, refit_rmse_select=error)  # pyright: ignore[reportArgumentType]
+    return state
+
+
+def test_structure_is_asked_for_where_more_than_noise_remains(rough):
+    rig, _, problem = rough
+    assert may_have_structure(problem, state_of(9.0))
+    assert not may_have_structure(problem, state_of(1.2))
+    stopped = state_of(9.0)
+    stopped.interrupted = True
+    assert not may_have_structure(problem, stopped)
+    plant = with_structure(rig.plant)
+    assert (plant.cells.count, plant.grains.count) == (CELLS, GRAINS)
+
+
+def test_candidates_next_to_a_structure_are_the_facts_or_else_the_best_of_the_first_round():
+    ranking = {"end-conduction": (0.1, 90.0), "creep": (0.2, 5.0), "slack": (0.3, 50.0), "radiation": (0.9, 1.0)}
+    state = state_of(9.0, ranking)
+    assert candidate_keys(state) == ("creep", "slack", "radiation")
+    state.current = fit_of(("slack", "end-conduction"), 4.0)
+    assert candidate_keys(state) == ("slack",)
+
+
+def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
+    """The variant with neither predicts as the rig without structure; the others do not."""
+    _, _, problem = rough
+    expected = problem.predict(EffectSet(), problem.nominal, SELECT)
+    size, differences = np.sqrt(np.mean(expected**2)), {}
+    for variant in VARIANTS:
+        held = holding(structured, held_values(variant, has_cells=True))
+        lower, upper = held.bounds
+        names = [unknown.name for unknown in held.problems[TRAIN].unknowns]
+        fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
+        assert fixed == (set(SPREADS) if variant in ("neither", "cells") else set())
+        difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
+        differences[variant] = np.sqrt(np.mean(difference**2)) / size
+    # Near 0: the insulating wire has a conductivity of 1e-3 W/m/K.
+    assert differences["neither"] < 1e-2 * differences["cells"]
+    assert min(differences[v] for v in ("cells", "grains", "both")) > 0.02
+    assert all(low < high for low, high in zip(*structured.bounds, strict=True))
+
+
+def test_a_rough_rig_needs_a_structure_and_nothing_else(rough, diagnosis):
+    rig, _, _ = rough
+    assert diagnosis.structure.variant != "neither"
+    assert diagnosis.effects == VARIANTS[diagnosis.structure.variant]
+    assert diagnosis.verdict == "partial" and not diagnosis.holdout_decided
+    errors = diagnosis.structure.errors
+    assert errors[diagnosis.structure.variant] < 0.95 * errors["neither"]
+    rmse = diagnosis.rmse["displacement"]
+    assert rmse["select_after"] < 0.95 * rmse["select_before"]
+    found = diagnosed_rig(rig, diagnosis.plant, ())
+    assert (found.plant.grains is not None) == (diagnosis.structure.grains > 1)
+    again = read_rig(tomllib.loads(found.to_toml()))
+    assert (again.plant.cells is None, again.plant.grains is None) == (
+        found.plant.cells is None,
+        found.plant.grains is None,
+    )
+    assert set(SPREADS) <= set(again.fit.free)
+
+
+def test_error_budget_goes_from_a_naive_forecast_to_the_last_fit(rough, diagnosis):
+    _, recordings, _ = rough
+    entries = diagnosis.error_budget
+    assert [entry.added for entry in entries] == ["naive", "base", "structure"]
+    train, holdout = (recordings[k].channels["displacement"] for k in (TRAIN, HOLDOUT))
+    naive = np.sqrt(np.mean((holdout - np.mean(train)) ** 2))
+    assert entries[0].errors["displacement"]["holdout"] == pytest.approx(naive, rel=1e-9)
+    rmse = diagnosis.rmse["displacement"]
+    for entry, when in ((entries[1], "before"), (entries[2], "after")):
+        for split in ("train", "select", "holdout"):
+            assert entry.errors["displacement"][split] == pytest.approx(rmse[f"{split}_{when}"], rel=1e-9)
+    last = entries[2]
+    fall = rmse["holdout_before"] - rmse["holdout_after"]
+    assert last.cut_if_last["displacement"]["holdout"] == pytest.approx(fall, rel=1e-9)
+    low, high = last.cut95["displacement"]
+    assert low < high and not entries[1].cut95
+
+
+def test_document_and_page_have_structure_and_budget(rough, diagnosis):
+    _, recordings, _ = rough
+    options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}
+    document = json.loads(json.dumps(diagnosis_document(diagnosis, recordings, **options), allow_nan=False))
+    assert document["structure"]["variant"] == diagnosis.structure.variant
+    assert document["effects"] == list(diagnosis.effects)
+    errors = document["error_budget"][-1]["channels"]["displacement"]
+    assert errors["holdout"] == pytest.approx(document["rmse"]["displacement"]["holdout_after"])
+    assert "The wire has" in document["summary"] and "times the noise" in document["summary"]
+    study = DiagnosisStudy(document=document, series=(), run={}, files={}, reason="")
+    assert study.structure == diagnosis.structure.variant and study.candidates == ()
+    assert list(study.error_budget) == ["naive", "base", "structure"]
+    run = {"inputs": ["current"], "argv": [], "started": "", "machine": "", "versions": {}, "timings": {}}
+    page = diagnosis_page(document, prediction_series(recordings, diagnosis), run, "")
+    assert "Error budget of displacement" in page and '"waterfall"' in page.replace(" ", "")
