@@ -64,18 +64,20 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     structured = CandidateEvaluator(problem, evaluator.seed)
     first = problem.fit(EffectSet(), problem.nominal, max_steps=1)
     structured.base_refit(first.base, first.status)
-    # Without facts, the structure may also belong to the effect that was accepted first.
-    without = [state.current] if state.accepted else [state.base_fit, *state.accepted_fits[:1]]
-    fits = [fit_with_structure(structured, _allowed_effects(problem, fit.refit.effect_set), fit) for fit in without]
+    fit = fit_with_structure(structured, _allowed_effects(problem, state.current.refit.effect_set), state.current)
+    fits = [fit]
+    if not state.accepted:
+        report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
+        fits += successive_halving(structured, *_candidates(structured, fit, state))
     evaluator.problem.count_simulations(problem.simulations)
-    if not any(_improves(evaluator, *pair, structured) for pair in zip(without, fits, strict=True)):
+    if not any(_improves(evaluator, state.current, f, structured) for f in fits):
         return evaluator, state, UNIFORM
-    base = refit(structured, fits[0], EffectSet()) if fits[0].keys else fits[0]
+    base = refit(structured, fit, EffectSet()) if fit.keys else fit
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
     )
     inner.stage_shares, inner.ranking = state.stage_shares, state.ranking
-    _add_effects(structured, inner, [fit for fit in fits if fit.keys], bool(state.accepted), report_progress)
+    _add_effects(structured, inner, [f for f in fits if f.keys])
     judge_effects(structured, inner)
     if not clearly_better(evaluator, state.current, structured, inner.current):
         return evaluator, state, UNIFORM
@@ -103,24 +105,16 @@ def _improves(
     return fit.train_chi2 < without.train_chi2 and clearly_better(evaluator, without, structured, fit)
 
 
-def _add_effects(
-    evaluator: CandidateEvaluator,
-    state: SelectionState,
-    fits: list[CandidateFit],
-    has_facts: bool,
-    report_progress: Callable[[str], object],
-) -> None:
-    """Add the effects of the best fit next to the structure; if there were no facts, the candidates compete as well."""
+def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: list[CandidateFit]) -> None:
+    """Add the effects of the best fit next to the structure."""
     problem, current = evaluator.problem, state.current
     if current.at_noise:
         return
-    if not has_facts:
-        report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
-        fits = [*fits, *successive_halving(evaluator, _candidates(evaluator, current))]
     fits = plausible_fits(problem, state, [fit for fit in fits if fit.train_chi2 < current.train_chi2])
     best = min(fits, key=lambda fit: fit.total_chi2, default=None)
     if best is None:
         return
+    best = refit(evaluator, best, best.refit.effect_set)
     if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
         state.rejected.append(reason)
         return
@@ -128,11 +122,11 @@ def _add_effects(
     drop_unneeded_effects(evaluator, state)
 
 
-def _candidates(evaluator: CandidateEvaluator, fit: CandidateFit) -> list[Candidate]:
-    """The effects that improve a fit to first order."""
-    scores = evaluator.scores(fit.refit)
-    return [
-        Candidate(fit.refit, key, score.strength, scores.shapes[key], score.gain)
-        for key, score in scores.best.items()
-        if score.gain > 0.0
-    ]
+def _candidates(
+    evaluator: CandidateEvaluator, fit: CandidateFit, state: SelectionState
+) -> tuple[list[Candidate], list[Candidate]]:
+    """The effects of the problem from the point of a fit, and from the rig's own values."""
+    scores, nominal = evaluator.scores(fit.refit), state.nominal_scores
+    near = [Candidate(fit.refit, key, s.strength, scores.shapes[key], s.gain) for key, s in scores.best.items()]
+    far = [Candidate(fit.refit, key, nominal[key].strength, nominal[key].shape) for key in scores.best]
+    return near, far
