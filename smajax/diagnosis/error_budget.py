@@ -141,8 +141,8 @@ def _errors(evaluator: CandidateEvaluator, series: Series) -> Errors:
 def _cuts(evaluator: CandidateEvaluator, before: Series, after: Series) -> dict[str, tuple[float, float]]:
     noise, cuts = evaluator.problem.noise, {}
     for channel in after[HOLDOUT]:
-        pair = (second_half(series[HOLDOUT][channel]) * noise[channel] for series in (before, after))
-        cuts[channel] = bootstrap_cut(*pair, evaluator.seed)
+        first, second = (second_half(series[HOLDOUT][channel]) * noise[channel] for series in (before, after))
+        cuts[channel] = bootstrap_cut(first, second, evaluator.seed)
     return cuts
 
 

@@ -81,36 +81,44 @@ def diagnose(
     may_continue = _continuation(state, report_progress)
     may_continue("predicting the holdout")
     before = _joint_refit(problem, without.base_fit.refit)
-    after = _last_refit(evaluator.problem, state, structure, before)
-    while absent := absent_effects(evaluator.problem, after):
-        _drop_absent(evaluator, state, absent[-1])
-        after = _last_refit(evaluator.problem, state, structure, before)
-    verdict = _verdict(evaluator, state, after, structure)
-    if verdict == "partial":
-        facts = state.accepted
-        judge_effects(evaluator, state, final=True)
-        if state.accepted != facts:
-            after = _last_refit(evaluator.problem, state, structure, before)
-            verdict = _verdict(evaluator, state, after, structure)
+    after, verdict = _fit_and_classify(evaluator, state, structure, before)
     holdout_decided = verdict == "partial" and not structure.effects
     if holdout_decided and not improves_holdout(evaluator, before, after):
         _reject_all(state, RejectionCode.holdout)
         after, verdict = before, "unresolved"
     stage = term = experiment = None
     budget: tuple[BudgetEntry, ...] = ()
-    unexplained = verdict in ("unresolved", "partial")
     try:
         if may_continue("adding up the errors"):
             budget = error_budget(rig, evaluator, state, structure, before, after)
+        unexplained = verdict in ("unresolved", "partial")
         if unexplained and may_continue("searching for the stage that the residual comes from"):
             stage, term = _locate_residual(evaluator, state, structure)
         asks = verdict not in ("named", "nothing-missing") and not structure.effects
         if asks and may_continue("designing the next experiment"):
-            experiment = propose_experiment(evaluator.problem, state.current.refit, _rivals(state), seed)
+            experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
     except KeyboardInterrupt:  # the effects are a result without these
         state.interrupted = True
     conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided, structure, budget)
     return summarise(evaluator, state, before, after, conclusion, without=rig)
+
+
+def _fit_and_classify(
+    evaluator: CandidateEvaluator, state: SelectionState, structure: Structure, before: Refit
+) -> tuple[Refit, str]:
+    """The last refit and the verdict; effects are dropped that are absent or no facts after the joint refit."""
+    problem = evaluator.problem
+    after = _last_refit(problem, state, structure, before)
+    while absent := absent_effects(problem, after):
+        _drop_absent(evaluator, state, absent[-1])
+        after = _last_refit(problem, state, structure, before)
+    verdict, facts = _verdict(evaluator, state, after, structure), state.accepted
+    if verdict == "partial":
+        judge_effects(evaluator, state, final=True)
+    if state.accepted == facts:
+        return after, verdict
+    after = _last_refit(problem, state, structure, before)
+    return after, _verdict(evaluator, state, after, structure)
 
 
 def _continuation(state: SelectionState, report_progress: Callable[[str], object]) -> Callable[[str], bool]:
@@ -159,8 +167,8 @@ def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit)
     if statuses[1] is not SimulationStatus.done:
         return False
     series = [problem.series(residual, HOLDOUT) for residual in residuals]
-    halves = {c: [first_half(by_channel[c]) for by_channel in series] for c in problem.channels}
-    return any(not bootstrap_cut(*pair, evaluator.seed)[0] <= 0.0 for pair in halves.values())
+    without, with_effects = ({c: first_half(v) for c, v in by_channel.items()} for by_channel in series)
+    return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
 
 
 def classify_outcome(

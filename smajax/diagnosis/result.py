@@ -184,15 +184,8 @@ def summarise(
         when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
         for when, splits in series.items()
     }
-    cut95 = {
-        c: bootstrap_cut(predictions["before"][HOLDOUT][c], predictions["after"][HOLDOUT][c], evaluator.seed)
-        for c in problem.channels
-    }
-    statistics = {
-        when: {c: residual_statistics(v, problem.inputs()) for c, v in splits[TRAIN].items()}
-        for when, splits in predictions.items()
-    }
     intervals = effect_intervals(evaluator, after)
+    before_chi2, after_chi2 = (_reduced_chi2(series[when][TRAIN]) for when in ("before", "after"))
     unexplained = conclusion.verdict in ("partial", "unresolved")
     return Diagnosis(
         verdict=conclusion.verdict,
@@ -207,19 +200,15 @@ def summarise(
         before=before,
         after=after,
         base_fit_converged=state.base_fit_converged,
-        reduced_chi2=(
-            _reduced_chi2(series["before"][TRAIN]),
-            _reduced_chi2(series["after"][TRAIN]),
-            state.chi2_limit,
-        ),
+        reduced_chi2=(before_chi2, after_chi2, state.chi2_limit),
         rmse=_errors(series, noise),
-        cut95=cut95,
+        cut95=_cuts(evaluator, predictions),
         holdout_decided=conclusion.holdout_decided,
         rejected=_rejections(state),
         intervals=intervals,
         estimates=_effect_estimates(problem, after, intervals),
         predictions=predictions,
-        residual_statistics=statistics,
+        residual_statistics=_statistics(problem, predictions),
         nonparametric_fit=conclusion.nonparametric_fit,
         next_experiment=conclusion.next_experiment,
         interrupted=state.interrupted,
@@ -230,6 +219,24 @@ def summarise(
         error_budget=conclusion.error_budget,
         plant=structured_plant(problem.fitted_plant(after), structure),
     )
+
+
+def _cuts(
+    evaluator: CandidateEvaluator, predictions: Mapping[str, list[dict[str, np.ndarray]]]
+) -> dict[str, tuple[float, float]]:
+    """95 % interval of the fall of the holdout's RMSE by channel, SI."""
+    before, after = (predictions[when][HOLDOUT] for when in ("before", "after"))
+    return {c: bootstrap_cut(before[c], after[c], evaluator.seed) for c in before}
+
+
+def _statistics(
+    problem: DiagnosisProblem, predictions: Mapping[str, list[dict[str, np.ndarray]]]
+) -> dict[str, dict[str, ResidualStatistics]]:
+    """Statistics of the training residual by "before" and "after", and channel."""
+    return {
+        when: {c: residual_statistics(v, problem.inputs()) for c, v in splits[TRAIN].items()}
+        for when, splits in predictions.items()
+    }
 
 
 def _rejections(state: SelectionState) -> tuple[Rejection, ...]:

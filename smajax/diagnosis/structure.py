@@ -128,7 +128,8 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
         problem: The problem without structure.
         state: The state at the end of its forward selection, whose best effects are the candidates.
     """
-    settings = dataclasses.replace(problem.settings, free=(*problem.settings.free, *SPREADS))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    free = (*problem.settings.free, *SPREADS)
+    settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     plant = with_structure(problem.base_problem.plant)
     structured = DiagnosisProblem(
         plant, problem.splits, settings, **problem.grid_options, candidates=candidate_keys(state)

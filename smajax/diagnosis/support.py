@@ -50,8 +50,8 @@ def judge_effects(evaluator: CandidateEvaluator, state: SelectionState, *, final
 
 def _are_facts(evaluator: CandidateEvaluator, state: SelectionState, weakest: Support) -> bool:
     """Whether the accepted effects explain enough together, and the weakest of several next to the others."""
-    together = compare(evaluator, "", state.base_fit, state.current)
-    if min(together.share, state.explained) < MIN_FACT_SHARE or together.cut[0] <= 0.0:
+    whole = compare(evaluator, "", state.base_fit, state.current)
+    if min(whole.share, state.explained) < MIN_FACT_SHARE or whole.cut[0] <= 0.0:
         return False
     if len(state.accepted) == 1:
         return True
@@ -81,12 +81,12 @@ def compare(evaluator: CandidateEvaluator, key: str, without: CandidateFit, fit:
         The evidence for the effect, as that of a candidate.
     """
     problem = evaluator.problem
-    residuals = [
+    before, after = (
         problem.counted_samples(problem.predict(f.refit.effect_set, f.refit.base, SELECT), SELECT)
         for f in (without, fit)
-    ]
+    )
     excess, remaining = (max(f.select_chi2 - 1.0, 1e-9) for f in (without, fit))
-    return Support(key, 1.0 - remaining / excess, bootstrap_cut(*residuals, evaluator.seed), False)
+    return Support(key, 1.0 - remaining / excess, bootstrap_cut(before, after, evaluator.seed), False)
 
 
 def _without(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> CandidateFit:

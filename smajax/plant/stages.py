@@ -276,14 +276,15 @@ class PlantStages(CellsAndGrains):
     ) -> Fractions:
         """``_evolve_fractions`` with the temperature of each grain at the end."""
         context = self._stage_context()
-        material, shift = context.material, 0.0
+        material, shift = context.material, None
         for e in self._effects_of(MaterialEffect):
             material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
-            shift = shift + checked_result(
-                e, "shift", self._each_cell(e.shift, first, context), first.temperature.shape, "wires"
-            )
-        shift = self._for_grains(shift) if jnp.ndim(shift) else shift
-        temperatures = tuple(at - shift for at in (self._grain_temperatures(first.temperature), temperature))
+            own = checked_result(e, "shift", self._each_cell(e.shift, first, context), first.temperature.shape, "wires")
+            shift = own if shift is None else shift + own
+        temperatures = self._grain_temperatures(first.temperature), temperature
+        if shift is not None:
+            shift = self._for_grains(shift)
+            temperatures = temperatures[0] - shift, temperatures[1] - shift
         stresses = self._per_cell(first.stress), self._per_cell(stress)
         evolved = self._each_grain(
             lambda law, values: law.evolve(values[0], values[1], stresses), material, (fractions, temperatures)

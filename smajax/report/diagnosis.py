@@ -57,9 +57,7 @@ def diagnosis_document(
         "verdict": diagnosis.verdict,
         "effects": list(diagnosis.effects),
         "equivalent": {key: list(keys) for key, keys in diagnosis.equivalent.items()},
-        "structure": _structure_entry(diagnosis),
-        "support": [_support_entry(s) for s in diagnosis.supports if s.key in diagnosis.effects],
-        "candidates": [_support_entry(s) for s in diagnosis.supports if s.key not in diagnosis.effects],
+        **_structure_and_support(diagnosis),
         "unresolved_stage": diagnosis.unresolved_stage,
         "interrupted": diagnosis.interrupted,
         "summary": "",
@@ -92,11 +90,18 @@ def diagnosis_document(
     return DiagnosisDocument.check(document)
 
 
-def _structure_entry(diagnosis: Diagnosis) -> dict[str, Any]:
-    structure = diagnosis.structure
-    errors = {variant: finite_or_none(error) for variant, error in structure.errors.items()}
-    counts = {"cells": structure.cells, "grains": structure.grains}
-    return {"variant": structure.variant} | counts | {"select_error_over_noise": errors}
+def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The structure of the wire, and the evidence for effects and candidates."""
+    structure, by_fact = diagnosis.structure, {True: [], False: []}
+    for support in diagnosis.supports:
+        by_fact[support.key in diagnosis.effects].append(_support_entry(support))
+    entry = {
+        "variant": structure.variant,
+        "cells": structure.cells,
+        "grains": structure.grains,
+        "select_error_over_noise": {variant: finite_or_none(error) for variant, error in structure.errors.items()},
+    }
+    return {"structure": entry, "support": by_fact[True], "candidates": by_fact[False]}
 
 
 def _support_entry(support: Support) -> dict[str, Any]:
