@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from smajax import parameters
 from smajax.diagnosis.auxiliary_channels import (
     ChannelFault,
     auxiliary_channels,
@@ -94,7 +95,7 @@ def check_recordings(recordings: Sequence[Recording], signals: Sequence[str]) ->
 
 
 def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
-    """Return the rig with a diagnosed plant; the spreads of grains that it did not have are free.
+    """Return the rig with a diagnosed plant; spreads of grains that it did not have are free unless they are 0.
 
     Args:
         rig: The rig.
@@ -102,7 +103,8 @@ def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
         auxiliary: Auxiliary channels; those that one of the effects needs are added to the observed channels.
     """
     needed = [c for c in auxiliary if any(f"{c} observed" in effect.needs for effect in plant.effects)]
-    free = SPREADS if plant.grains is not None and rig.plant.grains is None else ()
+    is_new = plant.grains is not None and rig.plant.grains is None
+    free = [name for name in SPREADS if is_new and float(parameters.get(plant, name)) > 0.0]
     fit = dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed), free=(*rig.fit.free, *free))
     return dataclasses.replace(rig, plant=plant, fit=fit)
 

@@ -70,7 +70,7 @@ class Structure(NamedTuple):
     Attributes:
         variant: A key of ``VARIANTS``.
         cells: Number of cells, 1 without.
-        grains: Number of grains, 1 without.
+        grains: Number of grains, 1 without. With cells alone their spreads are 0; they lie at different places.
         errors: RMSE of the selection split over the noise by variant, each fitted to the training split with the same
             effects; empty if the structure was not asked for.
     """
@@ -248,12 +248,8 @@ def compare_variants(
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
     best = min(errors, key=lambda v: errors[v])
     chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))
-    cells, grains = (CELLS if "cells" in _parts(chosen) else 1), (GRAINS if "grains" in _parts(chosen) else 1)
-    return Structure(chosen, cells, grains, errors), *fits[chosen]
-
-
-def _parts(variant: str) -> tuple[str, ...]:
-    return ("cells", "grains") if variant == "both" else (variant,)
+    cells = CELLS if chosen in ("cells", "both") else 1
+    return Structure(chosen, cells, 1 if chosen == "neither" else GRAINS, errors), *fits[chosen]
 
 
 def clearly_better(

@@ -10,6 +10,9 @@ conductance the clamp stays at ambient temperature. Both clamps are equal, so ha
 clamp to the middle, where no heat flows. The stress is equal along the wire, its strain is the mean over the cells by
 their lengths, and its resistance is the sum of theirs.
 
+Where a cell has grains, these are spread over its length, with a temperature that is linear between the middles of the
+cells: a cold end then transforms gradually in few cells.
+
 The cells are graded by the fin length sqrt(k d / (4 h)), the distance over which a cold end is felt: with m cells in
 the half wire and r half its length over the fin length, boundary i is at sinh(i / m asinh(r)) / r of the half wire.
 

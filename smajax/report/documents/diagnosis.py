@@ -112,7 +112,9 @@ class StructureEntry(Part):
 
     variant: Literal["neither", "cells", "grains", "both"] = Field(description="what the wire needs")
     cells: int = Field(ge=1, description="number of cells; 1 for a wire of one temperature")
-    grains: int = Field(ge=1, description="number of grains in each cell; 1 for a law without spread")
+    grains: int = Field(
+        ge=1, description="number of grains in each cell, 1 without; with cells alone their spreads are 0"
+    )
     select_error_over_noise: dict[Literal["neither", "cells", "grains", "both"], Number] = Field(
         description="error on the selection recording relative to the noise, by variant, with the same effects; empty "
         "if the question was not asked, since the fit is near the noise or the rig file has cells or grains"
