@@ -73,19 +73,18 @@ def budget_picture(channel: str, noise: float | None, entries: Sequence[Mapping[
         noise: Its noise, in the unit; ``None`` if unknown.
         entries: ``error_budget`` of diagnosis.json.
     """
-    channels = [entry["channels"][channel] for entry in entries]
-    errors, unit = [c["holdout"] for c in channels], channels[0]["unit"]
-    names = [escape(entry["added"]) for entry in entries]
+    naive, *channels = [entry["channels"][channel] for entry in entries]
+    errors, unit = [c["holdout"] for c in channels], naive["unit"]
     layout = base_layout()
     layout["yaxis"] = axis_style(escape(f"error on the holdout [{unit}]")) | {"rangemode": "tozero"}
     layout["xaxis"] = {"type": "category", "automargin": True}
     layout["showlegend"] = False
-    falls = [None, None, *(b - a if None not in (a, b) else None for a, b in pairwise(errors[1:]))]
+    labels = ["-" if error is None else f"{error:.3g}" for error in errors]
     bars = go.Waterfall(
-        x=[*names, "all"],
-        y=[*errors[:2], *falls[2:], None],
-        measure=["absolute", "absolute", *["relative"] * (len(errors) - 2), "total"],
-        text=[*("-" if e is None else f"{e:.3g}" for e in errors), "-" if errors[-1] is None else f"{errors[-1]:.3g}"],
+        x=[*(escape(entry["added"]) for entry in entries[1:]), "all"],
+        y=[errors[0], *(None if None in pair else pair[1] - pair[0] for pair in pairwise(errors)), None],
+        measure=["absolute", *["relative"] * (len(errors) - 1), "total"],
+        text=[*labels, labels[-1]],
         textposition="outside",
         decreasing={"marker": {"color": INPUT}},
         increasing={"marker": {"color": MODEL}},
@@ -94,8 +93,9 @@ def budget_picture(channel: str, noise: float | None, entries: Sequence[Mapping[
     )
     if noise is not None:
         layout["shapes"] = [level_line(noise, "y", {"dash": "dot", "color": MEASURED, "width": 1.5})]
+    forecast = "none" if naive["holdout"] is None else f"{naive['holdout']:.3g} {unit}"
     caption = (
-        "Error on the holdout of a naive forecast, the mean of the training recording; of the rig's own model; and "
-        "with each thing added in turn. The dotted line is the noise."
+        "Error on the holdout of the rig's own model, and with each thing added in turn. The dotted line is the noise. "
+        f"The error of a naive forecast, the mean of the training recording, is {forecast}."
     )
     return Picture(f"Error budget of {channel}", caption, go.Figure([bars], layout), _HEIGHT, wide=True)
