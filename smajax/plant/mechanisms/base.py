@@ -56,7 +56,7 @@ class AbstractMechanism(CheckedModule):
         wire_class: Geometry of the wire in a rig file.
     """
 
-    required_attributes = ("wires", "unknowns", "prescribed", "coordinate")
+    required_attributes: ClassVar[tuple[str, ...]] = ("wires", "unknowns", "prescribed", "coordinate")
     wires: ClassVar[int]
     unknowns: ClassVar[int]
     prescribed: ClassVar[tuple[str, ...]]
