@@ -63,13 +63,13 @@ class DiagnosisStudy(Study):
 
     @property
     def structure(self) -> str:
-        """What the wire needs: "neither", "cells", "grains" or "both"; "neither" where it was not asked."""
+        """What the wire needs: "neither", "cells", "grains" or "both"; "neither" where it was not fitted."""
         entry = self.document.get("structure")  # absent in documents of earlier versions
         return entry["variant"] if entry else "neither"
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Keys of the effects that explain a part only: the rig may have them, and its file does not get them."""
+        """Keys of the effects that explain a part only: the rig may have them, and its diagnosed file does not."""
         return tuple(entry["key"] for entry in self.document.get("candidates", ()))
 
     @property

@@ -89,7 +89,7 @@ def diagnose(
     stage = term = experiment = None
     budget: tuple[BudgetEntry, ...] = ()
     try:
-        if may_continue("adding up the errors"):
+        if may_continue("computing the error budget"):
             budget = error_budget(rig, evaluator, state, structure, before, after)
         unexplained = verdict in ("unresolved", "partial")
         if unexplained and may_continue("searching for the stage that the residual comes from"):

@@ -1,9 +1,9 @@
 """The structure of the wire: whether a rig needs cold ends (cells), a spread of its grains, both, or neither.
 
-Cells and grains belong together: each alone explains less than half of what both explain. They are therefore one
-candidate, fitted from several positive starts, since at a spread of 0 the derivative is 0. All variants run on one
-compiled program: the spreads of grains are held at 0 where there is one grain, and the conductivity along the wire is
-held near 0 where there are no cells.
+Each of the two alone may explain too little to be accepted. Cells and grains are therefore one candidate, fitted from
+several positive starts, since at a spread of 0 the derivative is 0. All variants run on one compiled program: the
+spreads of grains are held at 0 where there is one grain, and the conductivity along the wire is held near 0 where there
+are no cells.
 """
 
 import copy
@@ -25,6 +25,7 @@ from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.fitting.memory import free_memory
+from smajax.parameters import declarations
 from smajax.plant.cells import Cells
 from smajax.plant.effects.end_conduction import EndConduction
 from smajax.plant.effects.gradual_transformation import GradualTransformation
@@ -32,8 +33,8 @@ from smajax.plant.effects.temperature_distribution import TemperatureDistributio
 from smajax.plant.grains import Grains
 from smajax.plant.plant import Plant
 
-# Cells along the wire and grains in each: with more of them the fits of experiments/diagnosis/rough_rigs.py differ by
-# less than the noise, and cost more (experiments/speed/cells_and_grains.py).
+# Cells along the wire and grains in each, a compromise between accuracy and cost. Chosen by trial;
+# experiments/speed/cells_and_grains.py prints both.
 CELLS = 7
 GRAINS = 5
 # The variants of the structure, the simplest first, and the effects that stand for each in a list of effects.
@@ -46,12 +47,12 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 # Effects of the catalogue that are approximations of cells or grains.
 APPROXIMATIONS = (EndConduction.key, TemperatureDistribution.key, GradualTransformation.key)
 SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
-# Conductivity along the wire of the variant without cells, the lower bound of the parameter, W/m/K.
-_INSULATING = {"cells.conductivity": 1e-3}
-# Reduced chi-squared of training or selection split from which on the structure is asked for: 1.5 times the noise.
+# Conductivity along the wire of the variant without cells, W/m/K: the lower bound of the parameter.
+_INSULATING = {"cells.conductivity": declarations(Cells)["conductivity"].lower}
+# Reduced chi-squared of training or selection split from which on the structure is fitted: 1.5 times the noise.
 # Chosen by trial.
 _ASK_FROM = 2.25
-# Start values of both spreads. Chosen by trial: fits from there end at the same cost on most rough rigs.
+# Start values of both spreads. Chosen by trial.
 _START_SPREADS = (0.7, 0.35)
 # Number of effects of the first round, those with the least errors on the selection split, and those with the largest
 # scores, that are candidates next to the structure. More of them make each derivative more expensive. Chosen by trial.
@@ -72,7 +73,7 @@ class Structure(NamedTuple):
         cells: Number of cells, 1 without.
         grains: Number of grains, 1 without. With cells alone their spreads are 0; they lie at different places.
         errors: RMSE of the selection split over the noise by variant, each fitted to the training split with the same
-            effects; empty if the structure was not asked for.
+            effects; empty if the structure was not fitted.
     """
 
     variant: str = "neither"
@@ -91,9 +92,9 @@ UNIFORM = Structure()
 
 
 def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool:
-    """Return whether the structure of the wire is worth a question.
+    """Return whether a diagnosis has to decide on the structure of the wire.
 
-    It is not where the rig file has cells or grains, the fit is near the noise, the diagnosis was stopped, each
+    It has not where the rig file has cells or grains, the fit is near the noise, the diagnosis was stopped, each
     recording has own parameters, or the memory is not enough.
 
     Args:
@@ -287,7 +288,7 @@ def structured_plant(plant: Plant, structure: Structure) -> Plant:
 
     Args:
         plant: The fitted plant, with cells and grains.
-        structure: The structure that was found; if it was not asked for, the plant stays as it is.
+        structure: The structure that was found; if it was not fitted, the plant stays as it is.
     """
     if not structure.errors:
         return plant

@@ -17,7 +17,7 @@ from smajax.diagnosis.selection_state import SelectionState, Support
 MIN_FACT_SHARE = 0.5
 # Least shares that each of several facts explains: of the excess without it, more than all else; and of the excess of
 # the model without effects, since next to a dominant effect others may absorb most of a small background. Chosen by
-# trial on the odd seeds of experiments/diagnosis/rough_rigs.py.
+# trial on single rough rigs; the rates of experiments/diagnosis/rough_rigs.py are not counted yet.
 MIN_MEMBER_SHARE = 0.5
 MIN_MEMBER_SHARE_OF_ALL = 0.05
 

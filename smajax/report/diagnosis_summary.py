@@ -102,8 +102,8 @@ def _candidate_sentences(doc: Document) -> list[str]:
     if candidates := doc.get("candidates", ()):
         shares = (f"{entry['key']} ({100.0 * max(entry['explains'], 0.0):.0f} %)" for entry in candidates)
         lines.append(
-            f"Candidates, which explain a part of the excess and may only absorb it: {', '.join(shares)}. The rig file "
-            "does not get them."
+            f"Candidates, which explain a part of the excess and may only absorb it: {', '.join(shares)}. The "
+            "diagnosed rig file does not have them."
         )
     return lines
 

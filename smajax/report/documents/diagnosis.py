@@ -117,7 +117,7 @@ class StructureEntry(Part):
     )
     select_error_over_noise: dict[Literal["neither", "cells", "grains", "both"], Number] = Field(
         description="error on the selection recording relative to the noise, by variant, with the same effects; empty "
-        "if the question was not asked, since the fit is near the noise or the rig file has cells or grains"
+        "if the structure was not fitted, since the fit is near the noise or the rig file has cells or grains"
     )
 
 
