@@ -62,7 +62,7 @@ def implicit_jvp_from_jacobian(
     primals: tuple[Any, ...],
     tangents: tuple[Any, ...],
 ) -> Float[Array, " entries"]:
-    """Compute ``implicit_jvp`` with a given Jacobian dr/dz: by one tangent each of the residual and of the state.
+    """Compute ``implicit_jvp`` with a given Jacobian dr/dz: by one tangent in all other arguments and one in z.
 
     Args:
         jacobian: The Jacobian at the solution, shape ``(unknowns, unknowns)``.
@@ -74,10 +74,10 @@ def implicit_jvp_from_jacobian(
     Returns:
         The tangent of the flat state.
     """
-    residual = jvp(lambda *primals: step_residual(end, *primals)[0], primals, tangents)
+    residual, state = jvp(lambda *primals: step_residual(end, *primals), primals, tangents)
     # Not a product of matrices: a batch of them would be left to a library, which no kernel may call.
     change = -jnp.sum(inverse(jacobian) * residual[None], axis=1)
-    return jvp(lambda *arguments: step_residual(*arguments)[1], (end, *primals), (change, *tangents))
+    return state + jvp(lambda z: step_residual(z, *primals)[1], (end,), (change,))
 
 
 @eqx.filter_custom_jvp

@@ -111,13 +111,23 @@ class Cells(CheckedModule):
         Returns:
             Heat per volume, W/m^3.
         """
-        length = jnp.diff(boundaries)
-        distance = jnp.diff(self._middles(boundaries), prepend=0.0)
-        rise = jnp.diff(temperature, axis=0, prepend=clamp[None])
-        flow = self.conductivity * rise / distance[:, None]  # towards the clamp, W/m^2
-        inflow = jnp.concatenate([flow[1:], jnp.zeros_like(flow[:1])]) - flow
+        # The temperatures of clamp and cells times a matrix that is constant over a simulation: faster than differences
+        # of neighbours, which a compiled loop computes entry by entry (experiments/speed/cells_and_grains.py).
+        matrix, to_clamp = self._conduction_matrix(boundaries)
+        inflow = jnp.sum(matrix[:, :, None] * temperature[None], axis=1) + to_clamp[:, None] * clamp[None]
         uneven = (self.convection_factors(boundaries) - 1.0)[:, None] * heat.conductance(temperature, wire)
-        return inflow / length[:, None] - uneven * (temperature - ambient)
+        return inflow - uneven * (temperature - ambient)
+
+    def _conduction_matrix(
+        self, boundaries: Float[Array, " ends"]
+    ) -> tuple[Float[Array, "cells cells"], Float[Array, " cells"]]:
+        """Heat that conduction brings into each cell per kelvin of each cell (last axis) and of the clamp, W/m^3/K."""
+        length = jnp.diff(boundaries)
+        per_distance = self.conductivity / jnp.diff(self._middles(boundaries), prepend=0.0)
+        before = per_distance / length
+        after = per_distance[1:] / length[:-1]
+        matrix = jnp.diag(after, 1) + jnp.diag(before[1:], -1) - jnp.diag(before + jnp.append(after, 0.0))
+        return matrix, jnp.append(before[:1], jnp.zeros(self.simulated - 1))
 
     def clamp_temperature(
         self,
@@ -177,16 +187,21 @@ class Cells(CheckedModule):
         """
         if self.simulated == 1:
             return jnp.broadcast_to(temperature, (grains, *temperature.shape))
+        weights = self._grain_weights(boundaries, grains)  # constant over a simulation, as in ``net_heat``
+        return jnp.sum(weights[..., None] * temperature[None, None], axis=2)
+
+    def _grain_weights(self, boundaries: Float[Array, " ends"], grains: int) -> Float[Array, "grains cells cells"]:
+        """Weights of the temperatures of all cells (last axis) in the temperature of each grain."""
         middles, length = self._middles(boundaries), jnp.diff(boundaries)
-        places = self._grain_places(grains)
+        places, cells = self._grain_places(grains), jnp.eye(self.simulated)
         offset = boundaries[None, :-1] + (0.5 + places) * length[None] - middles[None]
-        slope = jnp.diff(temperature, axis=0) / jnp.diff(middles)[:, None]
+        slope = jnp.diff(cells, axis=0) / jnp.diff(middles)[:, None]
         before = jnp.concatenate([slope[:1], slope])
         after = jnp.concatenate([slope, jnp.zeros_like(slope[:1])])
         # The middle of an odd number of cells is at the end of the last one, so all of its grains come before it.
         is_after = (places > 0.0) & (np.arange(self.simulated) < self.simulated - self.count % 2)
         difference = offset[:, :, None] * jnp.where(is_after[:, :, None], after[None], before[None])
-        return temperature[None] + difference - jnp.mean(difference, axis=0, keepdims=True)
+        return cells[None] + difference - jnp.mean(difference, axis=0, keepdims=True)
 
     def _grain_places(self, grains: int) -> np.ndarray:
         """Places of the grains in their cells, from -1/2 to 1/2, shape ``(grains, cells)``.
