@@ -11,6 +11,8 @@ from smajax import parameters
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
+from smajax.comparison.material_models import with_material_law
+from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.diagnosis.outcome import diagnose as diagnose_problem
 from smajax.diagnosis.result import Diagnosis
 from smajax.diagnosis.setup import DiagnosisSetup, diagnosed_rig, set_up_diagnosis
@@ -19,7 +21,7 @@ from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
-from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
+from smajax.report.diagnosis import NEXT_INPUT, RIG_WITH_LAW, diagnosis_document
 from smajax.report.diagnosis_series import prediction_series
 
 
@@ -73,6 +75,11 @@ class DiagnosisStudy(Study):
         return tuple(entry["key"] for entry in self.document.get("candidates", ()))
 
     @property
+    def law(self) -> Mapping[str, Any] | None:
+        """Comparison of the rig's material law with the others; ``None`` where it was not asked for."""
+        return self.document.get("law")
+
+    @property
     def error_budget(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Errors by what was added to the model, then by channel, from a naive forecast to all effects."""
         return {entry["added"]: dict(entry["channels"]) for entry in self.document.get("error_budget", ())}
@@ -91,6 +98,7 @@ def diagnose(
     holdout: Any,
     start: str | Path | None = None,
     seed: int | None = None,
+    laws: bool = False,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> DiagnosisStudy:
@@ -103,6 +111,7 @@ def diagnose(
         holdout: A recording of a third input, which is predicted at the end.
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
         seed: Seed of the random numbers; that of the rig by default.
+        laws: Whether to compare other material laws although effects explain the residual.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase.
 
@@ -115,14 +124,12 @@ def diagnose(
     with clock.time("read"):
         reporter.phase("reading")
         rig = as_rig(rig, drop_misplaced=True)
-        text = rig_text(rig)
-        rig = with_start(rig, start)
-        sources = [one_source(train, "train")], [one_source(select, "select"), one_source(holdout, "holdout")]
-        recordings = [recording for recording, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
+        text, rig = rig_text(rig), with_start(rig, start)
+        recordings = _read(rig, (train, select, holdout), drop_bad_rows)
     seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
-        result = _diagnose(rig, setup, seed, reporter, clock)
+        result = _diagnose(rig, setup, (seed, laws), reporter, clock)
     reporter.finish("writing the report")
     document = diagnosis_document(
         result,
@@ -145,6 +152,12 @@ def diagnose(
     )
 
 
+def _read(rig: Rig, sources: Sequence[Any], drop_bad_rows: bool) -> list[Recording]:
+    train, *others = ([one_source(s, name)] for s, name in zip(sources, SPLIT_NAMES, strict=True))
+    pairs = read_train_and_holdout(rig, train, [source for other in others for source in other], drop_bad_rows)
+    return [recording for recording, _ in pairs]
+
+
 def _outcome(result: Diagnosis, document: Mapping[str, Any]) -> tuple[int, str]:
     """Exit code, and why the study did not succeed: an interruption, or a prediction with the effects that failed."""
     if result.interrupted:
@@ -157,11 +170,13 @@ def _inputs(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     return list(rig.plant.driving_channels(*(recording.channels for recording in recordings)))
 
 
-def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter, clock: Clock) -> Diagnosis:
+def _diagnose(
+    rig: Rig, setup: DiagnosisSetup, options: tuple[int, bool], reporter: Reporter, clock: Clock
+) -> Diagnosis:
     """Diagnose; an error of the numerics has the record of the run and a rig file with the last parameter values."""
-    report = partial(reporter.phase, can_stop=True)
+    (seed, laws), report = options, partial(reporter.phase, can_stop=True)
     try:
-        return diagnose_problem(setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=report)
+        return diagnose_problem(setup.problem, seed=seed, laws=laws, known_noise=rig.fit.noise, report_progress=report)
     except NumericsError as error:
         error.run = run_record("diagnose", rig.name, clock, seed, error.exit_code)
         if error.state:
@@ -175,6 +190,9 @@ def _files(rig: Rig, text: str, setup: DiagnosisSetup, result: Diagnosis) -> dic
     assert result.plant is not None
     diagnosed = diagnosed_rig(rig, result.plant, setup.auxiliary)
     files: dict[str, FileContent] = {"rig.toml": text.encode(), "rig-diagnosed.toml": diagnosed.to_toml().encode()}
+    if result.law is not None and result.law.plant is not None and result.law.better is not None:
+        other = with_material_law(rig, result.law.better)
+        files[RIG_WITH_LAW] = dataclasses.replace(other, plant=result.law.plant).to_toml().encode()
     if result.next_experiment and result.next_experiment.recording:
         files[NEXT_INPUT] = result.next_experiment.recording.write
     return files

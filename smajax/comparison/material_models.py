@@ -4,31 +4,20 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-import equinox as eqx
 import numpy as np
 
-from smajax import parameters
 from smajax.comparison.model_result import ModelResult
-from smajax.errors import InputError, NumericsError
+from smajax.errors import NumericsError
 from smajax.files.documents import finite_or_none, is_undetermined
 from smajax.files.rig_file import Rig
 from smajax.fitting.fit import fit
 from smajax.fitting.io_models.problem import check_rows
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.material_laws import with_law
 from smajax.fitting.result import Estimate
-from smajax.parameters import declarations
-from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.recording import Recording
 from smajax.simulation.status import SimulationStatus
 from smajax.units import as_text
-
-# Start values of parameters that not every law has. Those of the first table are fitted: the hardening exponents of
-# Lagoudas' law, which start at the middle of their usual range. Those of the second table are held.
-_FREE_START_VALUES: dict[str, dict[str, float]] = {"lagoudas": {"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}}
-# Detwinning stresses of Brinson's law, Pa, of a wire that is detwinned under its usual load.
-_HELD_START_VALUES: dict[str, dict[str, float]] = {
-    "brinson": {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}
-}
 
 
 def fit_material_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> ModelResult:
@@ -85,27 +74,10 @@ def with_material_law(rig: Rig, name: str) -> Rig:
     Raises:
         InputError: If the new law has a parameter without a default that the old one does not have.
     """
-    law, old_material = MATERIALS[name], rig.plant.material
-    if type(old_material) is law:
+    plant, settings = with_law(rig.plant, rig.fit, name)
+    if plant is rig.plant:
         return rig
-    free, held = _FREE_START_VALUES.get(name, {}), _HELD_START_VALUES.get(name, {})
-    old_keys = declarations(old_material)
-    common = {key: float(getattr(old_material, key)) for key in declarations(law) if key in old_keys}
-    values: dict[str, Any] = held | free | common  # numbers, which the law turns into arrays
-    missing = [key for key, d in declarations(law).items() if d.default is None and key not in values]
-    if missing:
-        cure = f'give it a default in the class, or compare from a rig with [fit] model = "{name}"'
-        raise InputError(f"{name} has no start value of material.{missing[0]}: {cure}")
-    plant = eqx.tree_at(lambda p: p.material, rig.plant, law(**values))
-    declared = parameters.all_declarations(plant)
-    settings = dataclasses.replace(
-        rig.fit,
-        model=name,
-        free=tuple(n for n in rig.fit.free if n in declared) + tuple(f"material.{key}" for key in free),
-        bounds={n: ends for n, ends in rig.fit.bounds.items() if n in declared},
-        per_recording=tuple(n for n in rig.fit.per_recording if n in declared),
-    )
-    return dataclasses.replace(rig, plant=plant, fit=settings)
+    return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(settings, model=name))
 
 
 def _fitted_entry(estimate: Estimate) -> Mapping[str, Any]:

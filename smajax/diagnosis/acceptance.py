@@ -34,6 +34,7 @@ class RejectionCode(enum.StrEnum):
     unneeded = "unneeded"  # the other effects explain the recordings as well
     swapped = "swapped"  # another effect explains more together with the others
     little_explained = "little-explained"  # explains too little: a candidate
+    law = "law"  # another material law explains more
     holdout = "holdout"  # the accepted effects do not reduce the error on the holdout
 
 

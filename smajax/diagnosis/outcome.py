@@ -1,8 +1,10 @@
 """The whole diagnosis: select effects, predict the holdout once, and classify the outcome."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
@@ -15,54 +17,55 @@ from smajax.diagnosis.error_budget import BudgetEntry, error_budget, first_half
 from smajax.diagnosis.forward_selection import select_effects
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.localisation import most_likely_stage
-from smajax.diagnosis.next_experiment import propose_experiment
+from smajax.diagnosis.next_experiment import NextExperiment, propose_experiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit, fit_nonparametric_term
 from smajax.diagnosis.onset_times import onset_prediction_error
+from smajax.diagnosis.other_laws import LawComparison, OtherLaws
 from smajax.diagnosis.plausibility import absent_effects
 from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.result import Conclusion, Diagnosis, summarise
 from smajax.diagnosis.selection_state import SelectionState
-from smajax.diagnosis.structure import UNIFORM, Structure
+from smajax.diagnosis.structure import ASK_FROM, UNIFORM, Structure
 from smajax.diagnosis.structured_selection import select_with_structure
 from smajax.diagnosis.support import judge_effects
+from smajax.diagnosis.verdict import classify_outcome
 from smajax.errors import NumericsError
 from smajax.progress import CallbackStop, stoppable
 from smajax.simulation.status import SimulationStatus
 
-# Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise. For the
-# holdout, whose inputs may have a larger range, its square. Chosen by trial.
-_MAX_MISS = 1.2
-# Reduced chi-squared of the training split above which an effect is missing, where ``chi2_threshold`` is smaller.
-# Chosen by trial.
-_MIN_MISSING = 1.1
 # Largest number of alternatives from which the next experiment distinguishes each accepted effect, and of effects that
 # it distinguishes where none is accepted. Chosen by trial.
 _MAX_RIVALS = 2
+# Verdicts that leave more than noise.
+_UNEXPLAINED = ("unresolved", "partial")
 
 
 def diagnose(
     problem: DiagnosisProblem,
     *,
     seed: int = 0,
+    laws: bool = False,
     known_noise: Mapping[str, float] = MappingProxyType({}),
     report_progress: Callable[[str], object] = lambda text: None,
 ) -> Diagnosis:
     """Find the effects that a rig lacks, classify the outcome, and propose the next experiment.
 
     1. Select effects on the training and the selection split (``forward_selection``).
-    2. Where they leave more than noise, decide whether the wire needs cells and grains, and select effects next to them
-       (``structured_selection``).
+    2. Where they leave more than noise, or if ``laws``, fit other material laws (``other_laws``), and decide whether
+       the wire needs cells and grains, next to which effects are selected again (``structured_selection``).
     3. Keep as facts those that explain most of the excess; the others are candidates (``support``). Where more than
        noise remains on a wire of one cell and grain, reject them if they do not improve the holdout. Only then has the
        holdout a part in the choice of the effects (``Diagnosis.holdout_decided``).
-    4. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
-    5. Locate an unexplained residual (``localisation``), and, on a wire of one cell, find its form and propose an input
+    4. Refit both splits together, predict the holdout once, and classify (``verdict``).
+    5. If another law explains most of the excess, and more than effects and structure do, these become candidates.
+    6. Locate an unexplained residual (``localisation``), and, on a wire of one cell, find its form and propose an input
        that distinguishes equivalent effects.
 
     Args:
         problem: The diagnosis problem, with three splits for training, selection and holdout.
         seed: Seed of all random samples.
+        laws: Whether to compare other material laws although effects explain the residual.
         known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
         report_progress: Called with a line of text at each stage. It may raise ``StopIteration`` or
             ``KeyboardInterrupt``: the diagnosis then ends with the effects that are accepted so far, without a search
@@ -75,8 +78,12 @@ def diagnose(
             the noise, and no effect is accepted; its ``state`` then holds the parameters of the base fit.
     """
     rig, without = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
-    evaluator, state, structure = select_with_structure(rig, without, stoppable(report_progress))
-    if not structure.effects:
+    others, law = OtherLaws(rig, without.base_fit), None
+    if not problem.own_count and (laws or _leaves_more_than_noise(without)):
+        law = _compared_laws(others, rig, without, report_progress)
+    explained = law is not None and law.cause == "law" and law.best_error**2 < ASK_FROM
+    evaluator, state, structure = select_with_structure(rig, without, stoppable(report_progress), may_ask=not explained)
+    if not structure.effects and not explained:
         _check_convergence(problem, state)
     may_continue = _continuation(state, report_progress)
     may_continue("predicting the holdout")
@@ -86,21 +93,102 @@ def diagnose(
     if holdout_decided and not improves_holdout(evaluator, before, after):
         _reject_all(state, RejectionCode.holdout)
         after, verdict = before, "unresolved"
-    stage = term = experiment = None
-    budget: tuple[BudgetEntry, ...] = ()
+    found = _Found(evaluator, state, structure, after, verdict, holdout_decided)
+    if law is not None:
+        law = others.compare(evaluator, state.current)
+    return _concluded(rig, without, found, law, before, may_continue)
+
+
+def _concluded(
+    rig: CandidateEvaluator,
+    without: SelectionState,
+    found: "_Found",
+    law: LawComparison | None,
+    before: Refit,
+    may_continue: Callable[[str], bool],
+) -> Diagnosis:
+    """The result: what was found, or nothing where another law explains more; and what explains the rest."""
+    explanation = _Explanation()
+    if law is not None and law.cause == "law":
+        found, explanation.stage = _without_effects(rig, without, found, law, before), "material"
     try:
-        if may_continue("computing the error budget"):
-            budget = error_budget(rig, evaluator, state, structure, before, after)
-        unexplained = verdict in ("unresolved", "partial")
-        if unexplained and may_continue("searching for the stage that the residual comes from"):
-            stage, term = _locate_residual(evaluator, state, structure)
-        asks = verdict not in ("named", "nothing-missing") and not structure.effects
-        if asks and may_continue("designing the next experiment"):
-            experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
+        _explain(explanation, rig, found, before, may_continue)
     except KeyboardInterrupt:  # the effects are a result without these
+        found.state.interrupted = True
+    conclusion = _conclusion(found, explanation, law)
+    return summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
+
+
+def _compared_laws(
+    others: OtherLaws, rig: CandidateEvaluator, state: SelectionState, report_progress: Callable[[str], object]
+) -> LawComparison | None:
+    """The comparison of the laws; ``None`` if the diagnosis was or is stopped."""
+    if not _continuation(state, report_progress)("fitting other material laws"):
+        return None
+    try:
+        return others.compare(rig, state.current)
+    except KeyboardInterrupt:  # the effects are a result without it
         state.interrupted = True
-    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided, structure, budget)
-    return summarise(evaluator, state, before, after, conclusion, without=rig)
+        return None
+
+
+def _leaves_more_than_noise(state: SelectionState) -> bool:
+    """Whether the accepted effects leave so much of training or selection split that structure or law are asked for."""
+    return max(state.current.train_chi2, state.current.select_chi2) >= ASK_FROM
+
+
+class _Found(NamedTuple):
+    """What was found: the evaluator and the state of the structure, the last fit, and the verdict."""
+
+    evaluator: CandidateEvaluator
+    state: SelectionState
+    structure: Structure
+    after: Refit
+    verdict: str
+    holdout_decided: bool
+
+
+@dataclasses.dataclass
+class _Explanation:
+    """Error budget, stage and form of an unexplained residual, and the next experiment."""
+
+    budget: tuple[BudgetEntry, ...] = ()
+    stage: str | None = None
+    term: NonparametricFit | None = None
+    experiment: NextExperiment | None = None
+
+
+def _explain(
+    explanation: _Explanation,
+    rig: CandidateEvaluator,
+    found: _Found,
+    before: Refit,
+    may_continue: Callable[[str], bool],
+) -> None:
+    """Compute the parts of an explanation one after the other, until the diagnosis is stopped."""
+    evaluator, state, structure, law_is_wrong = *found[:3], explanation.stage is not None
+    if may_continue("computing the error budget"):
+        explanation.budget = error_budget(rig, evaluator, state, structure, before, found.after)
+    if law_is_wrong or found.verdict == "nothing-missing":
+        return
+    if found.verdict in _UNEXPLAINED and may_continue("searching for the stage that the residual comes from"):
+        explanation.stage, explanation.term = _locate_residual(evaluator, state, structure)
+    if found.verdict != "named" and not structure.effects and may_continue("designing the next experiment"):
+        rivals = _rivals(state)
+        explanation.experiment = propose_experiment(evaluator.problem, state.current.refit, rivals, evaluator.seed)
+
+
+def _conclusion(found: _Found, explanation: _Explanation, law: LawComparison | None) -> Conclusion:
+    return Conclusion(
+        found.verdict,
+        explanation.stage,
+        explanation.term,
+        explanation.experiment,
+        found.holdout_decided,
+        found.structure,
+        explanation.budget,
+        law,
+    )
 
 
 def _fit_and_classify(
@@ -171,41 +259,6 @@ def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit)
     return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
 
 
-def classify_outcome(
-    state: SelectionState,
-    joint: tuple[float, ...],
-    expected_chi2: tuple[float, float],
-    structure: Structure = UNIFORM,
-) -> str:
-    """Return the verdict.
-
-    - "nothing-missing": no effect is accepted, and all three splits are at the noise.
-    - "unresolved": no effect is accepted, and a split is not at the noise.
-    - "named": the accepted effects predict selection split and holdout as well as expected, or one fit to the first two
-      splits is at the noise on all three. The latter is enough where the training split determines little, such as an
-      onset at which nothing moves.
-    - "named-up-to-class": the same, with effects that explain the recordings as well.
-    - "partial": the accepted effects explain a part only.
-
-    Args:
-        state: The state at the end of the selection.
-        joint: Reduced chi-squared of the fit to training and selection split on all three splits.
-        expected_chi2: Reduced chi-squared by the noise and the uncertainty of the parameters: on the selection split,
-            of the fit to the training split, and on the holdout, of the fit to both.
-        structure: The structure of the wire, which counts as an accepted effect.
-    """
-    current, acceptable = state.current, state.acceptable_chi2
-    select, holdout = current.select_chi2 / expected_chi2[0], joint[HOLDOUT] / expected_chi2[1]
-    if not state.accepted and not structure.effects:
-        limit = max(state.chi2_limit, _MIN_MISSING)
-        missing = current.train_chi2 > limit or select > _MAX_MISS or holdout > _MAX_MISS**2
-        return "unresolved" if missing else "nothing-missing"
-    predicted = current.train_chi2 < acceptable and max(select, holdout) < _MAX_MISS**2
-    if predicted or max(*joint[:HOLDOUT], holdout) < acceptable:
-        return "named-up-to-class" if any(state.equivalent.get(key) for key in state.accepted) else "named"
-    return "partial"
-
-
 def _check_convergence(problem: DiagnosisProblem, state: SelectionState) -> None:
     """Raise ``NumericsError`` if the base fit is not reliable and no effect is accepted."""
     if state.base_fit_converged or state.accepted or state.base_fit.train_chi2 < state.acceptable_chi2:
@@ -259,6 +312,22 @@ def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit,
 def _reject_all(state: SelectionState, code: RejectionCode, share: float | None = None) -> None:
     state.rejected += [Rejection(key, code, share) for key in state.accepted]
     state.equivalent, state.current = {}, state.base_fit
+
+
+def _without_effects(
+    rig: CandidateEvaluator, without: SelectionState, found: _Found, law: LawComparison, before: Refit
+) -> _Found:
+    """What was found where another law explains more: no effects and no structure; the effects are candidates."""
+    rejected = [Rejection(key, RejectionCode.law, others=(law.better or "",)) for key in found.state.accepted]
+    state = dataclasses.replace(
+        without,
+        current=without.base_fit,
+        equivalent={},
+        rejected=[*found.state.rejected, *rejected],
+        interrupted=found.state.interrupted,
+        supports=tuple(support._replace(is_fact=False) for support in found.state.supports),
+    )
+    return _Found(rig, state, UNIFORM, before, "unresolved", False)
 
 
 def _drop_absent(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> None:

@@ -16,6 +16,7 @@ from smajax.diagnosis.detectability import Detectability, detectability_from_sco
 from smajax.diagnosis.error_budget import BudgetEntry
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
+from smajax.diagnosis.other_laws import LawComparison
 from smajax.diagnosis.plausibility import implausible_estimates
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
@@ -42,6 +43,7 @@ class Conclusion:
         holdout_decided: Whether the holdout decided that the effects stay, or that they were rejected.
         structure: The structure of the wire.
         error_budget: Errors by what was added to the model.
+        law: Comparison with other material laws; ``None`` where it was not asked for.
     """
 
     verdict: str
@@ -51,6 +53,7 @@ class Conclusion:
     holdout_decided: bool = False
     structure: Structure = UNIFORM
     error_budget: tuple[BudgetEntry, ...] = ()
+    law: LawComparison | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,6 +128,7 @@ class Diagnosis:
         supports: Evidence for each effect that was accepted at first: facts, then candidates.
         plant: The plant of ``after``; ``None`` where it was not built.
         error_budget: Errors by what was added to the model; empty if the diagnosis was stopped before.
+        law: Comparison with other material laws; ``None`` where it was not asked for.
     """
 
     verdict: str
@@ -157,6 +161,7 @@ class Diagnosis:
     supports: tuple[Support, ...] = ()
     plant: Plant | None = None
     error_budget: tuple[BudgetEntry, ...] = ()
+    law: LawComparison | None = None
 
 
 def summarise(
@@ -186,7 +191,6 @@ def summarise(
     }
     intervals = effect_intervals(evaluator, after)
     before_chi2, after_chi2 = (_reduced_chi2(series[when][TRAIN]) for when in ("before", "after"))
-    unexplained = conclusion.verdict in ("partial", "unresolved")
     return Diagnosis(
         verdict=conclusion.verdict,
         effects=(*structure.effects, *state.accepted),
@@ -194,7 +198,7 @@ def summarise(
         unresolved_stage=conclusion.unresolved_stage,
         detectability=tuple(state.detectability.values()),
         ranking=tuple(state.ranking.values()),
-        excluded=() if unexplained else _excluded_effects(evaluator, state),
+        excluded=() if conclusion.verdict in ("partial", "unresolved") else _excluded_effects(evaluator, state),
         stage_shares=state.stage_shares,
         noise=state.noise,
         before=before,
@@ -217,6 +221,7 @@ def summarise(
         structure=structure,
         supports=state.supports,
         error_budget=conclusion.error_budget,
+        law=conclusion.law,
         plant=structured_plant(problem.fitted_plant(after), structure),
     )
 

@@ -51,7 +51,7 @@ SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
 _INSULATING = {"cells.conductivity": declarations(Cells)["conductivity"].lower}
 # Reduced chi-squared of training or selection split from which on the structure is fitted: 1.5 times the noise.
 # Chosen by trial.
-_ASK_FROM = 2.25
+ASK_FROM = 2.25
 # Start values of both spreads. Chosen by trial.
 _START_SPREADS = (0.7, 0.35)
 # Number of effects of the first round, those with the least errors on the selection split, and those with the largest
@@ -104,7 +104,7 @@ def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool
     plant = problem.base_problem.plant
     if plant.cells is not None or plant.grains is not None or problem.own_count or state.interrupted:
         return False
-    if max(state.current.train_chi2, state.current.select_chi2) < _ASK_FROM:
+    if max(state.current.train_chi2, state.current.select_chi2) < ASK_FROM:
         return False
     recordings = [r for split in problem.splits for r in split.recordings]
     _, memory = diagnosis_memory(with_structure(plant), recordings, **problem.grid_options)

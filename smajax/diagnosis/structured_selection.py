@@ -33,7 +33,11 @@ Selected = tuple[CandidateEvaluator, SelectionState, Structure]
 
 
 def select_with_structure(
-    evaluator: CandidateEvaluator, state: SelectionState, report_progress: Callable[[str], object]
+    evaluator: CandidateEvaluator,
+    state: SelectionState,
+    report_progress: Callable[[str], object],
+    *,
+    may_ask: bool = True,
 ) -> Selected:
     """Decide whether the wire needs cells and grains, and select effects next to them.
 
@@ -42,12 +46,13 @@ def select_with_structure(
         state: The state at the end of its forward selection.
         report_progress: Called with a line of text at each stage; it may raise ``StopIteration`` or
             ``KeyboardInterrupt``: the result is then that without structure.
+        may_ask: Whether the structure is an open question; otherwise the effects are judged without one.
 
     Returns:
         The evaluator and the state of the structure that was found, and the structure; ``evaluator`` and ``state``
         themselves where the wire needs neither. The evidence for the effects is in the state.
     """
-    asks = may_have_structure(evaluator.problem, state)
+    asks = may_ask and may_have_structure(evaluator.problem, state)
     judge_effects(evaluator, state)
     if not asks:
         return evaluator, state, UNIFORM

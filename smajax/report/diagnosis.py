@@ -14,6 +14,7 @@ from smajax.diagnosis.detectability import Detectability
 from smajax.diagnosis.error_budget import BudgetEntry
 from smajax.diagnosis.nonparametric import FreeHeat, FreeShift, FreeStrain
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
+from smajax.diagnosis.other_laws import LawComparison
 from smajax.diagnosis.residual_checks import ResidualStatistics
 from smajax.diagnosis.result import Diagnosis, EffectEstimate
 from smajax.diagnosis.selection_state import Support
@@ -25,6 +26,8 @@ from smajax.report.document_entries import difference_unit, implausible_entry, r
 from smajax.report.documents.diagnosis import DiagnosisDocument
 
 NEXT_INPUT = "next_input.csv"
+# Rig with the better material law.
+RIG_WITH_LAW = "rig-law.toml"
 _NONPARAMETRIC_WORDS = {FreeHeat.key: "heat", FreeShift.key: "shift", FreeStrain.key: "strain"}
 
 
@@ -91,7 +94,7 @@ def diagnosis_document(
 
 
 def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The structure of the wire, and the evidence for effects and candidates."""
+    """The structure of the wire, the evidence for effects and candidates, and the comparison with other laws."""
     structure, by_fact = diagnosis.structure, {True: [], False: []}
     for support in diagnosis.supports:
         by_fact[support.key in diagnosis.effects].append(_support_entry(support))
@@ -101,7 +104,20 @@ def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:
         "grains": structure.grains,
         "select_error_over_noise": {variant: finite_or_none(error) for variant, error in structure.errors.items()},
     }
-    return {"structure": entry, "support": by_fact[True], "candidates": by_fact[False]}
+    law = None if diagnosis.law is None else _law_entry(diagnosis.law)
+    return {"structure": entry, "support": by_fact[True], "candidates": by_fact[False], "law": law}
+
+
+def _law_entry(law: LawComparison) -> dict[str, Any]:
+    return {
+        "own": law.own,
+        "better": law.better,
+        "cause": law.cause,
+        "select_error_over_noise": {name: finite_or_none(error) for name, error in law.errors.items()},
+        "error_with_effects_over_noise": finite_or_none(law.error_with_effects),
+        "cut_95_over_noise": None if law.better is None else [finite_or_none(end) for end in law.cut],
+        "skipped": law.skipped,
+    }
 
 
 def _support_entry(support: Support) -> dict[str, Any]:

@@ -17,10 +17,10 @@ def sentences(doc: Document) -> list[str]:
     Args:
         doc: The document diagnosis.json.
     """
-    lines = _structure_sentences(doc)
+    law, lines = _law_sentences(doc), _structure_sentences(doc)
     in_structure = {key for key in doc["effects"] if lines and key in STRUCTURE_KEYS}
     lines += [sentence for key in doc["effects"] if key not in in_structure for sentence in _effect_sentences(doc, key)]
-    lines += _candidate_sentences(doc)
+    lines = [*law, *lines, *_candidate_sentences(doc)]
     if unexplained := _verdict_sentence(doc):
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
@@ -90,6 +90,33 @@ def _structure_sentences(doc: Document) -> list[str]:
     return [
         f"The wire has {' and '.join(found)}: the error on the selection recording falls from {before} to {after} "
         "times the noise."
+    ]
+
+
+def _law_sentences(doc: Document) -> list[str]:
+    """Sentences about other material laws; none where they were not compared."""
+    entry = doc.get("law")  # absent in documents of earlier versions
+    if entry is None:
+        return []
+    errors, own = entry["select_error_over_noise"], entry["own"] or "the rig's law"
+    if entry["better"] is None:
+        others = ", ".join(name for name in errors if name != entry["own"])
+        return [f"No other material law ({others}) predicts the selection recording clearly better than {own}."]
+    better, with_effects = entry["better"], significant(entry["error_with_effects_over_noise"])
+    low, high = map(significant, entry["cut_95_over_noise"])
+    fall = (
+        f"without further effects {better} has an error of {significant(errors[better])} times the noise on the "
+        f"selection recording, {own} {significant(errors[entry['own']])} (95 % interval of the fall: {low} to {high})"
+    )
+    return [
+        {
+            "law": f"The material law is wrong: {fall}. rig-law.toml has {better}: diagnose with it again.",
+            "effect": f"An effect is missing, and the law is not wrong: {fall}, and with the effects below "
+            f"{with_effects}.",
+            "either": "The law is wrong or an effect is missing, and these recordings do not show which of the two: "
+            f"{fall}, and with the effects below {with_effects}. rig-law.toml has {better}.",
+            "part": f"Another law explains a small part only: {fall}.",
+        }[entry["cause"]]
     ]
 
 
@@ -173,6 +200,8 @@ def _verdict_sentence(doc: Document) -> str:
         return "More than noise remains."
     if doc["verdict"] == "partial":
         return f"More than noise remains; the residual looks most like another effect in the {stage} stage."
+    if doc["verdict"] == "unresolved" and (doc.get("law") or {}).get("cause") == "law":
+        return ""  # said by the sentence about the law
     if doc["verdict"] == "unresolved" and stage is None and doc.get("interrupted"):
         return "Something is missing that no effect explains so far."
     if doc["verdict"] == "unresolved" and stage is None:

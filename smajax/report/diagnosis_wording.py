@@ -31,6 +31,7 @@ def rejection_text(rejection: Rejection) -> str:
         RejectionCode.little_explained: (
             f"explains {percent:.0f} % of the excess over the noise on the selection recording, too little for a cause"
         ),
+        RejectionCode.law: f"explains less than the law {others} without it",
         RejectionCode.holdout: "does not reduce the error on the holdout",
     }[rejection.code]
 

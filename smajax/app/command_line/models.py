@@ -125,6 +125,9 @@ def diagnose(
     out: Out,
     start: Start = None,
     seed: Seed = None,
+    laws: Annotated[
+        bool, typer.Option("--laws", help="Compare the other material laws although effects explain the residual.")
+    ] = False,
     reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -142,6 +145,7 @@ def diagnose(
             holdout=holdout,
             start=start,
             seed=seed,
+            laws=laws,
             progress=progress,
         )
     finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)

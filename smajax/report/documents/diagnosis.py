@@ -121,6 +121,32 @@ class StructureEntry(Part):
     )
 
 
+class LawEntry(Part):
+    """Comparison of the rig's material law with the other laws on the selection recording."""
+
+    own: str = Field(description="law of the rig; empty if it is not registered")
+    better: str | None = Field(
+        description="the best law, if it predicts the selection recording better than that of the rig does without "
+        "effects, by at least 10 % and by more than chance"
+    )
+    cause: Literal["none", "law", "effect", "either", "part"] = Field(
+        description="none: no law is better; law: the better one explains most of the excess, and more than effects "
+        "do; effect: effects next to the rig's law explain more; either: the recordings do not distinguish these; "
+        "part: the better law explains a small part only"
+    )
+    select_error_over_noise: dict[str, Number] = Field(
+        description="error on the selection recording relative to the noise, by law, each without further effects; "
+        "null where the fit or the prediction fails"
+    )
+    error_with_effects_over_noise: Number = Field(
+        description="the same for the rig's law with the effects and the structure that were found first"
+    )
+    cut_95_over_noise: Ends | None = Field(
+        description="95 % interval of the fall of the error by the better law, relative to the noise; null without one"
+    )
+    skipped: dict[str, str] = Field(description="laws that cannot be fitted, and why")
+
+
 class SupportEntry(Part):
     """Evidence of an effect on the selection recording."""
 
@@ -260,6 +286,10 @@ class DiagnosisDocument(Document):
     candidates: list[SupportEntry] = Field(
         [],
         description="effects that explain a part only, so that the rig may have them; absent in earlier documents",
+    )
+    law: LawEntry | None = Field(
+        None,
+        description="comparison with other material laws; null where it was not asked for, absent in earlier documents",
     )
     unresolved_stage: Stage | None = Field(description="stage that the remaining residual looks most like")
     interrupted: bool = Field(False, description="whether the diagnosis was stopped before its end")

@@ -1,5 +1,6 @@
 """A progress callback that stops a diagnosis."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 from smajax.diagnosis import forward_selection, outcome
 from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit
 from smajax.diagnosis.forward_selection import select_effects
+from smajax.diagnosis.other_laws import LawComparison
 from smajax.diagnosis.outcome import diagnose
-from smajax.diagnosis.selection_state import SelectionState
+from smajax.diagnosis.selection_state import SelectionState, Support
 from smajax.diagnosis.structure import UNIFORM
 from smajax.errors import Cancelled
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from tests.support import plants
 
 
 def fit_of(*keys: str) -> CandidateFit:
@@ -73,14 +76,26 @@ def test_stop_iteration_of_other_code_is_a_fault(rounds, monkeypatch):
         select_effects(SimpleNamespace())  # pyright: ignore[reportArgumentType]
 
 
+PROBLEM = SimpleNamespace(samples=100, own_count=0, base_problem=SimpleNamespace(plant=plants.dead_weight()))
+
+
+def compared(cause) -> LawComparison:
+    """A comparison of Brinson's law with that of Tanaka."""
+    better, cut = (None, (math.nan, math.nan)) if cause == "none" else ("tanaka", (1.0, 2.0))
+    return LawComparison("brinson", {"brinson": 9.0, "tanaka": 1.0}, 4.0, better, cut, cause, None, {})
+
+
 @pytest.fixture
 def selected(rounds, monkeypatch):
     """A diagnosis without simulations that accepts an effect and explains a part only; summaries are (fit, conclusion)."""
     rounds.current = fit_of("creep")
-    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
+    evaluator = SimpleNamespace(problem=PROBLEM, seed=0)
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
-    monkeypatch.setattr(outcome, "select_with_structure", lambda evaluator, state, *_: (evaluator, state, UNIFORM))
+    monkeypatch.setattr(
+        outcome, "select_with_structure", lambda evaluator, state, *_, **__: (evaluator, state, UNIFORM)
+    )
     monkeypatch.setattr(outcome, "judge_effects", lambda *_, **__: None)
+    monkeypatch.setattr(outcome.OtherLaws, "compare", lambda *_: compared("none"))
     monkeypatch.setattr(outcome, "_joint_refit", lambda problem, refit: refit)
     monkeypatch.setattr(outcome, "_last_refit", lambda problem, state, *_: state.current.refit)
     monkeypatch.setattr(outcome, "error_budget", lambda *_: ())
@@ -103,7 +118,7 @@ def test_end_of_a_diagnosis_is_left_out(selected, monkeypatch, word, calls):
     called: list[str] = []
     monkeypatch.setattr(outcome, "_locate_residual", lambda *_: called.append("stage") or ("heat", None))
     monkeypatch.setattr(outcome, "propose_experiment", lambda *_: called.append("experiment"))
-    _, conclusion = diagnose(SimpleNamespace(), report_progress=stop_at(word, StopIteration))  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    _, conclusion = diagnose(PROBLEM, report_progress=stop_at(word, StopIteration))  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert called == calls and selected.interrupted == (word != "nothing")
     assert conclusion.verdict == "partial" and conclusion.unresolved_stage == ("heat" if "stage" in calls else None)
 
@@ -114,7 +129,7 @@ def test_ctrl_c_after_the_selection_keeps_the_effects(selected, monkeypatch, sea
         raise KeyboardInterrupt
 
     monkeypatch.setattr(outcome, search, interrupt)
-    refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    refit, conclusion = diagnose(PROBLEM)  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert refit.effect_set.keys == ("creep",) and selected.interrupted
     assert conclusion.unresolved_stage == stage and conclusion.next_experiment is None
 
@@ -126,7 +141,7 @@ def test_ctrl_c_after_the_selection_keeps_the_effects(selected, monkeypatch, sea
 def test_part_of_the_holdout_in_the_choice_is_recorded(selected, monkeypatch, verdict, improves, decided, after):
     monkeypatch.setattr(outcome, "_verdict", lambda *_: verdict)
     monkeypatch.setattr(outcome, "improves_holdout", lambda *_: improves)
-    refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    refit, conclusion = diagnose(PROBLEM)  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert refit.effect_set.keys == after and conclusion.holdout_decided == decided
     assert [(r.key, r.code) for r in selected.rejected] == ([] if after else [("creep", "holdout")])
 
@@ -134,8 +149,35 @@ def test_part_of_the_holdout_in_the_choice_is_recorded(selected, monkeypatch, ve
 def test_an_effect_of_strength_zero_in_the_last_fit_is_rejected(selected, monkeypatch):
     """Fitted to both recordings its strength is 0: the diagnosis goes on without it."""
     monkeypatch.setattr(outcome, "absent_effects", lambda _, refit: refit.effect_set.keys)
-    evaluator = SimpleNamespace(problem=None, stride=lambda chi2: 1)
+    evaluator = SimpleNamespace(problem=PROBLEM, seed=0, stride=lambda chi2: 1)
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, selected))
-    refit, _ = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    refit, _ = diagnose(PROBLEM)  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert refit.effect_set.keys == () and selected.current is selected.base_fit
     assert [(r.key, r.code) for r in selected.rejected] == [("creep", "zero")]
+
+
+@pytest.mark.parametrize("cause", ["none", "either", "part", "effect", "law"])
+def test_a_law_that_explains_more_replaces_the_effects(selected, monkeypatch, cause):
+    """They become candidates, and no stage and no experiment are searched for."""
+    selected.supports = (Support("creep", 0.6, (0.1, 0.2), True),)
+    monkeypatch.setattr(outcome.OtherLaws, "compare", lambda *_: compared(cause))
+    summaries = []
+    monkeypatch.setattr(outcome, "summarise", lambda *arguments, without: summaries.append(arguments))
+    diagnose(PROBLEM)  # pyright: ignore[reportArgumentType]
+    _, state, _, _, conclusion = summaries[0]
+    assert conclusion.law.cause == cause
+    if cause == "law":
+        assert state.accepted == () and conclusion.verdict == "unresolved" and conclusion.unresolved_stage == "material"
+        assert [(r.key, r.code, r.others) for r in state.rejected] == [("creep", "law", ("tanaka",))]
+        assert [s.is_fact for s in state.supports] == [False]
+    else:
+        assert state.accepted == ("creep",) and conclusion.verdict == "partial"
+
+
+def test_ctrl_c_while_laws_are_fitted_keeps_the_effects(selected, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outcome.OtherLaws, "compare", interrupt)
+    refit, conclusion = diagnose(PROBLEM)  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    assert refit.effect_set.keys == ("creep",) and selected.interrupted and conclusion.law is None

@@ -37,12 +37,7 @@ from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.localisation import STAGES, most_likely_stage
 from smajax.diagnosis.nonparametric_fit import fit_nonparametric_term
 from smajax.diagnosis.onset_times import onset_prediction_error, refine_onsets, scan_onset_times
-from smajax.diagnosis.outcome import (
-    classify_outcome,
-    diagnose,
-    first_predicting_refit,
-    improves_holdout,
-)
+from smajax.diagnosis.outcome import diagnose, first_predicting_refit, improves_holdout
 from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import orthonormal_basis, p_value, project_out, score_test
@@ -50,6 +45,7 @@ from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.step_errors import stride_error
 from smajax.diagnosis.successive_halving import trusted_candidate
 from smajax.diagnosis.support import judge_effects
+from smajax.diagnosis.verdict import classify_outcome
 from smajax.errors import NumericsError
 from smajax.files.parameter_sets import Entry, write_parameters
 from smajax.files.rig_file import read_rig
