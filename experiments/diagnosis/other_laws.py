@@ -6,11 +6,10 @@ The rig file has Brinson's law. In half of the cases the wire follows another on
 Tanaka (tests/reference/one_fraction.py) or of Lagoudas with smooth hardening (tests/reference/lagoudas.py). In the
 other half it follows Brinson's law, and an effect is hidden (tests/reference/hidden.py). None of these simulators
 shares code with smajax. Every case draws the rig's free parameters near their nominal values and three inputs of 80 s;
-strengths are typical ones. Each diagnosis compares the laws (``--laws``).
+strengths are typical ones. Each diagnosis compares the laws (``laws=True``).
 
-The rows count the cases with a wrong law of which the diagnosis says so or that the recordings do not tell it from an
-effect, those of which it names an effect as a fact, and the cases with a missing effect of which it says that the law
-is wrong.
+The rows count the cases with a wrong law that is recognised, or that the recordings do not distinguish from an effect,
+and those without an effect as a fact; and the cases with a missing effect in which the law is not called wrong.
 
 With ``--out``, each case is appended to DIR/cases.jsonl when it ends, and cases that are there are not run again.
 ``--quick`` runs one case with each law and one with an effect.
@@ -145,12 +144,14 @@ def rows(facts: list[Facts]) -> list[Row]:
     """Return the rows of the table."""
     wrong, missing = ([f for f in facts if f["group"] == group] for group in ("wrong law", "missing effect"))
     return [
-        count_row("wrong law: said to be wrong", [f["cause"] == "law" for f in wrong], 0.8),
+        count_row("wrong law: recognised", [f["cause"] == "law" for f in wrong], 0.8),
         count_row(
-            "wrong law: wrong, or not told from an effect", [f["cause"] in ("law", "either") for f in wrong], 1.0
+            "wrong law: recognised, or not distinguished from an effect",
+            [f["cause"] in ("law", "either") for f in wrong],
+            1.0,
         ),
         count_row("wrong law: no effect named", [not f["effects"] for f in wrong], 0.9),
-        count_row("missing effect: law not said to be wrong", [f["cause"] != "law" for f in missing], 1.0),
+        count_row("missing effect: law not called wrong", [f["cause"] != "law" for f in missing], 1.0),
         count_row("missing effect: named", [names_effect(f, f["keys"][0]) for f in missing], 0.9),
     ]
 

@@ -35,8 +35,10 @@ from smajax.plant.plant import Plant
 # Least relative fall of the error on the selection split by which one law is better than another: about twice the 5 %
 # that an effect needs (``acceptance.MIN_SELECT_CUT``), since a law brings parameters of its own.
 MIN_LAW_CUT = 0.1
-# Relative fall of the cost at which the search of another law ends. Chosen by trial.
-_RTOL = 1e-8
+# Relative fall of the cost at which the search of another law ends, and its largest number of steps: a right law ends
+# at the noise after fewer. Chosen by trial; experiments/diagnosis/other_laws.py prints how many laws are recognised.
+_RTOL = 1e-6
+_STEPS = 50
 
 Cause = Literal["none", "law", "effect", "either", "part"]
 _predict = jit_with_kernels(abstract_problem.residual)
@@ -183,7 +185,7 @@ def _fit_law(problem: DiagnosisProblem, base: CandidateFit, name: str) -> LawFit
     lower, upper = train.bounds
     starts = np.clip(np.stack([train.nominal, np.array(near)]), lower, upper)
     solver = MultiStartSolver(abstract_problem.residual, train, starts, lower, upper, size=train.size, rtol=_RTOL)
-    result = solver.advance().result()
+    result = solver.advance(_STEPS).result()
     problem.count_simulations(result.simulations + 1)
     point = jnp.asarray(result.points[0])
     plant = parameters.replace(plant, {n: float(v) for n, v in train.values(point)[0].items()})

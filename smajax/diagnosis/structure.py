@@ -2,8 +2,8 @@
 
 Each of the two alone may explain too little to be accepted. Cells and grains are therefore one candidate, fitted from
 several positive starts, since at a spread of 0 the derivative is 0. All variants run on one compiled program: the
-spreads of grains are held at 0 where there is one grain, and the conductivity along the wire is held near 0 where there
-are no cells.
+spreads of grains are held at 0 and their widths at 1 where there is one grain, and the conductivity along the wire is
+held near 0 where there are no cells.
 """
 
 import copy
@@ -47,6 +47,8 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 # Effects of the catalogue that are approximations of cells or grains.
 APPROXIMATIONS = (EndConduction.key, TemperatureDistribution.key, GradualTransformation.key)
 SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
+# A full cycle shows the width of the whole wire's transformation alone, which a rig file may have from a data sheet.
+WIDTHS = ("grains.austenite_width", "grains.martensite_width")
 # Conductivity along the wire of the variant without cells, W/m/K: the lower bound of the parameter.
 _INSULATING = {"cells.conductivity": declarations(Cells)["conductivity"].lower}
 # Reduced chi-squared of training or selection split from which on the structure is fitted: 1.5 times the noise.
@@ -123,13 +125,13 @@ def with_structure(plant: Plant) -> Plant:
 
 
 def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
-    """Build the problem of the same rig with cells and grains, whose spreads are free, and with few candidates.
+    """Build the problem of the same rig with cells, with grains whose spreads and widths are free, and few candidates.
 
     Args:
         problem: The problem without structure.
         state: The state at the end of its forward selection, whose best effects are the candidates.
     """
-    free = (*problem.settings.free, *SPREADS)
+    free = (*problem.settings.free, *SPREADS, *WIDTHS)
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     plant = with_structure(problem.base_problem.plant)
     structured = DiagnosisProblem(
@@ -185,7 +187,8 @@ def held_values(variant: str, has_cells: bool) -> dict[str, float]:
         variant: A key of ``VARIANTS``.
         has_cells: Whether the problem has cells.
     """
-    values = dict.fromkeys(SPREADS, 0.0) if variant in ("neither", "cells") else {}
+    one_grain = dict.fromkeys(SPREADS, 0.0) | dict.fromkeys(WIDTHS, 1.0)
+    values = one_grain if variant in ("neither", "cells") else {}
     return values | (_INSULATING if has_cells and variant in ("neither", "grains") else {})
 
 
@@ -195,13 +198,13 @@ def fit_with_structure(evaluator: CandidateEvaluator, effect_set: EffectSet, wit
     Args:
         evaluator: The evaluator of the problem with structure.
         effect_set: The effects, with start values of their parameters.
-        without: The fit without structure; the spreads follow its parameters in the base vector.
+        without: The fit without structure; the values of the grains follow its parameters in the base vector.
 
     Returns:
         The best fit to the training split.
     """
     problem, base = evaluator.problem, without.refit.base
-    starts = [problem.nominal, *(np.append(base, _spreads(problem, spread)) for spread in _START_SPREADS)]
+    starts = [problem.nominal, *(np.append(base, _grain_values(problem, spread)) for spread in _START_SPREADS)]
     stride = evaluator.stride(without.train_chi2)
     free = tuple(problem.free_effect_parameters(effect_set))
     searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
@@ -222,9 +225,10 @@ def refit(evaluator: CandidateEvaluator, fit: CandidateFit, effect_set: EffectSe
     return evaluator.evaluate(evaluator.fit(effect_set, start, stride, max_steps=_STEPS, rtol=_RTOL))
 
 
-def _spreads(problem: DiagnosisProblem, value: float) -> np.ndarray:
-    """Entries of both spreads in the base vector."""
-    return np.array([value / u.scale for u in problem.problems[TRAIN].unknowns if u.name in SPREADS])
+def _grain_values(problem: DiagnosisProblem, spread: float) -> np.ndarray:
+    """Entries of both spreads and both widths in the base vector."""
+    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0)
+    return np.array([values[u.name] / u.scale for u in problem.problems[TRAIN].unknowns if u.name in values])
 
 
 def compare_variants(
@@ -284,7 +288,7 @@ def clearly_better(
 
 
 def structured_plant(plant: Plant, structure: Structure) -> Plant:
-    """Return a fitted plant with the parts of its structure only.
+    """Return a fitted plant with the parts of its structure only, and with the temperatures of its whole wire.
 
     Args:
         plant: The fitted plant, with cells and grains.
@@ -292,6 +296,9 @@ def structured_plant(plant: Plant, structure: Structure) -> Plant:
     """
     if not structure.errors:
         return plant
+    if plant.grains is not None:
+        grains, material = plant.grains.with_whole_width(plant.material)
+        plant = dataclasses.replace(plant, grains=grains, material=material)
     cells = plant.cells if structure.cells > 1 else None
     grains = plant.grains if structure.grains > 1 else None
     return dataclasses.replace(plant, cells=cells, grains=grains)

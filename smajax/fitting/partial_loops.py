@@ -36,7 +36,7 @@ def spread_warnings(strains: Sequence[Float[np.ndarray, " _rows"]], free: Sequen
         strains: Strains of the model on the training recordings.
         free: Names of the free parameters.
     """
-    spreads = [name for name in free if name.startswith("grains.")]
+    spreads = [name for name in free if name.startswith("grains.") and name.endswith("_spread")]
     if not spreads or any(has_partial_loop(strain) for strain in strains if np.all(np.isfinite(strain))):
         return []
     return [

@@ -9,7 +9,10 @@ The transformation temperatures in files are those of the whole wire. The spread
 is the share of the standard deviation s of the whole wire's transformation that is due to differences between grains.
 With the width W of the wire's transformation (A_f - A_s, or M_s - M_f), a grain has, about the same middle,
 
-    width = c(phi) W sqrt(1 - phi^2)        shift = c(phi) W s phi z_i
+    width = w c(phi) W sqrt(1 - phi^2)        shift = w c(phi) W s phi z_i
+
+The factor w on the width, again for both directions apart, is 1: a fit may free it, since the width of a law above M_s
+depends on several of its parameters (``with_whole_width``).
 
 The factor c(phi) is near 1. With it the mean over many grains has the steepest tangent of the law without grains, so
 that the tangents at a measured cycle (ASTM E3097) give the same temperatures for every spread.
@@ -28,6 +31,8 @@ from smajax.plant.materials.base import AbstractMaterial
 
 # Largest spread: a grain then has 0.3 of the wire's width. A narrower one transforms within a time step.
 _LARGEST_SPREAD = 0.95
+# Bounds of the factors on the widths, far beyond the differences between wires of one alloy. Chosen by trial.
+_WIDTHS = (0.2, 5.0)
 
 
 class Grains(CheckedModule):
@@ -51,6 +56,12 @@ class Grains(CheckedModule):
         _LARGEST_SPREAD,
         0.7,
     )
+    austenite_width: jax.Array = parameter(
+        "1", "width of the reverse transformation over that of the file's temperatures", *_WIDTHS, 1.0
+    )
+    martensite_width: jax.Array = parameter(
+        "1", "width of the forward transformation over that of the file's temperatures", *_WIDTHS, 1.0
+    )
     count: int = eqx.field(static=True, default=6)
 
     @property
@@ -67,12 +78,29 @@ class Grains(CheckedModule):
             quantile: Quantile of the grain, z_i.
         """
         reverse, forward = (
-            _band(spread, quantile, material) for spread in (self.austenite_spread, self.martensite_spread)
+            _band(spread, width, quantile, material)
+            for spread, width in (
+                (self.austenite_spread, self.austenite_width),
+                (self.martensite_spread, self.martensite_width),
+            )
         )
         return material.with_bands(reverse, forward)
 
+    def with_whole_width(self, material: AbstractMaterial) -> tuple["Grains", AbstractMaterial]:
+        """Move the factors on the widths into the temperatures of the law, about the same middles.
 
-def _band(spread: jax.Array, quantile: jax.Array, material: AbstractMaterial) -> tuple[Any, Any]:
+        Args:
+            material: The law of the whole wire.
+
+        Returns:
+            Grains with factors of 1, and the law with which they are the same wire.
+        """
+        zero, one = jnp.zeros(()), jnp.ones(())
+        whole = material.with_bands((zero, self.austenite_width), (zero, self.martensite_width))
+        return eqx.tree_at(lambda g: (g.austenite_width, g.martensite_width), self, (one, one)), whole
+
+
+def _band(spread: jax.Array, width: jax.Array, quantile: jax.Array, material: AbstractMaterial) -> tuple[Any, Any]:
     """Shift and width of a grain's transformation, as shares of the width of the wire's."""
     square = spread * spread
     factor = jnp.ones_like(square)
@@ -80,4 +108,5 @@ def _band(spread: jax.Array, quantile: jax.Array, material: AbstractMaterial) ->
     for coefficient in material.tangent_factor:
         factor = factor + coefficient * power
         power = power * square
+    factor = width * factor
     return factor * material.band_deviation * spread * quantile, factor * jnp.sqrt(1.0 - square)

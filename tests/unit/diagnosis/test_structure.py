@@ -9,6 +9,7 @@ from experiments.common.rough_recordings import draw_rig, record
 import numpy as np
 import pytest
 
+from smajax import parameters
 from smajax.api.diagnose import DiagnosisStudy
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
@@ -21,6 +22,7 @@ from smajax.diagnosis.structure import (
     GRAINS,
     SPREADS,
     VARIANTS,
+    WIDTHS,
     candidate_keys,
     held_values,
     holding,
@@ -96,7 +98,7 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
         lower, upper = held.bounds
         names = [unknown.name for unknown in held.problems[TRAIN].unknowns]
         fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
-        assert fixed == (set(SPREADS) if variant in ("neither", "cells") else set())
+        assert fixed == ({*SPREADS, *WIDTHS} if variant in ("neither", "cells") else set())
         difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
         differences[variant] = np.sqrt(np.mean(difference**2)) / size
     # Near 0: the insulating wire has a conductivity of 1e-3 W/m/K.
@@ -109,6 +111,7 @@ def test_a_rough_rig_needs_a_structure_and_nothing_else(rough, diagnosis):
     rig, _, _ = rough
     assert diagnosis.structure.variant != "neither"
     assert diagnosis.effects == VARIANTS[diagnosis.structure.variant]
+    assert {float(parameters.get(diagnosis.plant, name)) for name in WIDTHS} == {1.0}
     assert diagnosis.verdict == "partial" and not diagnosis.holdout_decided
     errors = diagnosis.structure.errors
     assert errors[diagnosis.structure.variant] < 0.95 * errors["neither"]

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 
 from smajax.plant.grains import Grains
-from smajax.plant.materials.base import COSINE_DEVIATION, COSINE_TANGENT_FACTOR
+from smajax.plant.materials.base import COSINE_DEVIATION, COSINE_TANGENT_FACTOR, AbstractMaterial
 from smajax.plant.materials.lagoudas import LINEAR_DEVIATION, LINEAR_TANGENT_FACTOR
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.stress_path import StressPath
@@ -31,7 +31,11 @@ def cycle(temperatures: np.ndarray, grains: Grains | None, law: str = "brinson")
         n: v for n, v in plants.MATERIAL.items() if law == "brinson" or not n.startswith("detwinning")
     }
     values |= {"modulus_martensite": 31.5e9, "thermal_expansion_austenite": 0.0, "thermal_expansion_martensite": 0.0}
-    plant = dataclasses.replace(plants.stress_path(), material=MATERIALS[law](**values), grains=grains)
+    return strain_along(temperatures, MATERIALS[law](**values), grains)
+
+
+def strain_along(temperatures: np.ndarray, material: AbstractMaterial, grains: Grains | None) -> np.ndarray:
+    plant = dataclasses.replace(plants.stress_path(), material=material, grains=grains)
     assert isinstance(plant.mechanism, StressPath)
     recording = plants.recording({"temperature": temperatures, "stress": np.full(len(temperatures), STRESS)})
     return np.asarray(simulate(plant, discretise(plant, recording)).channels["strain"])
@@ -83,6 +87,21 @@ def test_grains_converge_and_change_nothing_without_a_spread():
     errors = [float(np.sqrt(np.mean((curve - curves[-1]) ** 2))) for curve in curves[:-1]]
     assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
     assert errors[1] < 0.005 * np.ptp(curves[-1])
+
+
+@pytest.mark.parametrize("law", ["brinson", "lagoudas", "tanaka"])
+def test_factors_on_the_widths_are_wider_temperatures(law):
+    path = np.concatenate([np.linspace(20.0, 160.0, 301), np.linspace(160.0, 40.0, 301), np.linspace(40.0, 95.0, 101)])
+    values = {n: v for n, v in plants.MATERIAL.items() if law == "brinson" or not n.startswith("detwinning")}
+    material = MATERIALS[law](**values)
+    grains = Grains(*map(jnp.asarray, (0.6, 0.5, 1.5, 0.8)), count=6)
+    whole, wider = grains.with_whole_width(material)
+    assert float(whole.austenite_width) == float(whole.martensite_width) == 1.0
+    band, wide = (float(m.austenite_finish - m.austenite_start) for m in (material, wider))
+    assert wide == pytest.approx(1.5 * band)
+    strains = [strain_along(path, m, g) for m, g in ((material, grains), (wider, whole), (material, whole))]
+    np.testing.assert_allclose(strains[1], strains[0], atol=1e-9)
+    assert np.max(np.abs(strains[2] - strains[0])) > 1e-3
 
 
 def test_minor_loops_close_better_with_a_larger_spread():
