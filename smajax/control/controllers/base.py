@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.errors import InputError, suggestion
-from smajax.parameters import CheckedModule, declarations, is_concrete
+from smajax.parameters import CheckedModule, declarations
+from smajax.parameters.checks import is_concrete
 
 _Controller = TypeVar("_Controller", bound="AbstractController")
 # Fields that are given by rig and sampling, and are neither gains nor options.

@@ -21,7 +21,7 @@ from smajax.control.sensors.instruments import Instruments
 from smajax.control.sensors.sensor_model import ideal_sensor
 from smajax.errors import InputError, suggestion
 from smajax.numerics.nonsmooth import maximum, minimum
-from smajax.parameters import is_concrete
+from smajax.parameters.checks import is_concrete
 
 
 class Measurement(NamedTuple):
