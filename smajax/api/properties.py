@@ -135,25 +135,22 @@ def thermal_cycle_properties(
 
 
 def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]:
-    """Read the recordings; refuse a file that is given twice."""
+    """Read the recordings; refuse a file that is given twice. An error has the file as its field ``path``."""
     paths = [Path(source).resolve() if is_path(source) else None for source in sources]
     for k, path in enumerate(paths):
         if path is not None and path in paths[:k]:
             raise InputError(
                 f"{sources[k]}: this file is given twice, so its cycles would count twice: give each file once"
             )
-    return [
-        recording
-        for source in sources
-        for recording in read_recordings(
-            source,
-            required=("temperature",),
-            observed=("strain",),
-            clock=False,
-            ignore=(IGNORED_COLUMN,),
-            **options,
-        )
-    ]
+    channels = {"required": ("temperature",), "observed": ("strain",)}
+    read: list[Recording] = []
+    for source, path in zip(sources, paths, strict=True):
+        try:
+            read += read_recordings(source, **channels, clock=False, ignore=(IGNORED_COLUMN,), **options)
+        except InputError as error:
+            error.fields["path"] = path
+            raise
+    return read
 
 
 def _property(entry: Mapping[str, Any]) -> Property:

@@ -71,7 +71,9 @@ def _fit_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: st
             _check_finite(recording, channel, values)
     except (InputError, NumericsError) as error:
         kind = "law" if is_law else "input-output"
-        return ModelResult(name, kind, reason=str(error), input_insufficient=isinstance(error, InputError))
+        is_input = isinstance(error, InputError)
+        shared = error.fields.get("shared_reason", "") if is_input else ""
+        return ModelResult(name, kind, reason=str(error), shared_reason=shared, input_insufficient=is_input)
     return dataclasses.replace(result, wall_time=time.perf_counter() - start)
 
 
@@ -90,5 +92,5 @@ def _merge_reasons(results: Sequence[ModelResult]) -> str:
     """The reasons why no model could be fitted, each one once with the models that share it."""
     names_by_reason: dict[str, list[str]] = {}
     for result in results:
-        names_by_reason.setdefault(result.reason.removeprefix(f"{result.name} "), []).append(result.name)
+        names_by_reason.setdefault(result.shared_reason or result.reason, []).append(result.name)
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items())

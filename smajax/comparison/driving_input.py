@@ -47,19 +47,25 @@ def driving_inputs(rig: Rig, model: str, recordings: Sequence[Recording]) -> lis
     if len(inputs) == 1:
         return inputs
     changing = " and ".join(inputs) if inputs else "no input"
-    problem = f"{model} takes one input that changes, and here {changing} change{'' if inputs else 's'}"
+    problem = f"takes one input that changes, and here {changing} change{'' if inputs else 's'}"
     if len(inputs) == 2 and rig.plant.mechanism.wires == 2 and control and inputs == list(numbered(control, 2)):
         overlaps = [_overlap(r, inputs) for r in recordings]
         if max(overlaps) <= _MAX_OVERLAP:
             return inputs
         worst = recordings[int(np.argmax(overlaps))]
-        raise InputError(
+        raise _refusal(
+            model,
             f"{problem}: both are on at {100 * max(overlaps):.0f} % of the rows of {worst.name}: let the wires pull "
             "by turns, so that the difference of their commands is one input, or compare the material laws, which take "
-            "both"
+            "both",
         )
     hint = "hold the others constant, or compare the material laws, which take all of them" if inputs else "vary one"
-    raise InputError(f"{problem}: {hint}")
+    raise _refusal(model, f"{problem}: {hint}")
+
+
+def _refusal(model: str, reason: str) -> InputError:
+    """The error of a model with a reason that holds for other models, too."""
+    return InputError(f"{model} {reason}", code="driving-input", shared_reason=reason)
 
 
 def changing_inputs(signals: Sequence[str], recordings: Sequence[Recording]) -> list[str]:

@@ -18,6 +18,7 @@ class ModelResult:
         predictions: The compared channel of the training and of the holdout recording, SI, each of shape ``(n,)``.
         wall_time: Wall time of the fit, s.
         reason: Why the model could not be fitted; empty if it was.
+        shared_reason: The reason without the model's name, where other models may have the same one.
         note: How the recordings were changed for the model, and what limits its prediction.
         input_insufficient: Whether the reason is the input (files, settings) and not the numerics.
         at_bound: Parameters whose estimates are at a bound, each with that bound.
@@ -31,6 +32,7 @@ class ModelResult:
     predictions: tuple[np.ndarray, ...] = ()
     wall_time: float = 0.0
     reason: str = ""
+    shared_reason: str = ""
     note: str = ""
     input_insufficient: bool = False
     at_bound: tuple[str, ...] = ()

@@ -168,7 +168,7 @@ class DiagnosisProblem(GriddedSplits):
         effects = tuple(self.effects[key] for key in (*self.modelled_effects, *keys))
         plant = dataclasses.replace(self.base_problem.plant, effects=effects)
         values = {name: value for name, value in refit.values.items() if name.split(".")[1] in keys}
-        return parameters.replace(plant, {**shared, **values})
+        return parameters.replace(plant, {**shared, **values}, ordered=False)
 
     def states(self, refit: Refit, inputs: Inputs) -> Any:
         """Simulate the plant without effects at a refit's parameters.

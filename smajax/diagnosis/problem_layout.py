@@ -132,7 +132,8 @@ class GriddedSplits:
 
     def set_plant_values(self, values: Mapping[str, float]) -> None:
         """Set parameters of the plant that are not free, SI by name."""
-        self.problems = [dataclasses.replace(p, plant=parameters.replace(p.plant, dict(values))) for p in self.problems]
+        plants = [parameters.replace(p.plant, values, ordered=False) for p in self.problems]
+        self.problems = [dataclasses.replace(p, plant=plant) for p, plant in zip(self.problems, plants, strict=True)]
         self._strided = {}
 
     @property

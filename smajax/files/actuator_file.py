@@ -30,6 +30,7 @@ from smajax.files.rig_checks import check_coil, check_order, check_whole
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, render_toml, validate, write_text
 from smajax.files.validators import one_of, section_model
 from smajax.parameters import as_float, declarations
+from smajax.parameters.checks import Declaration
 from smajax.plant.coil import Coil
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
@@ -137,17 +138,20 @@ def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> Abstr
             is_section = isinstance(content, dict | list)
             problem = f"[{section}] is not a section of this actuator" if is_section else f"{section} is not known"
             raise InputError(f"{problem}{advice(section, ['rig', *part_classes], 'the sections are')}")
-    parts: dict[str, Any] = {
-        section: _build_part(kind, section, part, data.get(section, {})) for section, part in part_classes.items()
-    }
+    tables = {section: declarations(part) for section, part in part_classes.items()}
+    units = {f"{section}.{key}": d.unit for section, table in tables.items() for key, d in table.items()}
+    place = {n: f"{name} line {rows[n]}" if n in rows else name for n in units}
+    values = {s: _part_values(kind, s, table, data.get(s, {})) for s, table in tables.items()}
+    # Parts check the order as well, without the place of a value.
+    check_order({f"{s}.{k}": v for s, keys in values.items() for k, v in keys.items()}.get, units.__getitem__, place)
+    parts: dict[str, Any] = {s: part(**values[s]) for s, part in part_classes.items()}
     actuator = actuator_class(**parts)
-    names = parameters.all_declarations(actuator)
-    _check(actuator, {n: f"{name} line {rows[n]}" if n in rows else name for n in names})
+    _check(actuator, place)
     return actuator
 
 
 def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
-    """Check what holds for every rig (counts, ordered pairs, coils), then what this actuator requires.
+    """Check what holds for every rig (counts, coils), then what this actuator requires.
 
     ``place`` is the place of each parameter in the file, for messages.
     """
@@ -158,15 +162,13 @@ def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
         return None if math.isnan(number) else number
 
     check_whole(table, value, place)
-    check_order(value, lambda n: table[n].unit, place)
     for part in parameters.sections(actuator).values():
         if isinstance(part, Coil):
             check_coil(part)
     actuator.check()
 
 
-def _build_part(kind: str, section: str, part: type[eqx.Module], content: Any) -> eqx.Module:
-    table = declarations(part)
+def _part_values(kind: str, section: str, table: Mapping[str, Declaration], content: Any) -> dict[str, Any]:
     values = validate(section_model(section, table), content, section).model_dump(exclude_unset=True)
     for key, declaration in table.items():
         if key not in values and declaration.default is None:
@@ -175,4 +177,4 @@ def _build_part(kind: str, section: str, part: type[eqx.Module], content: Any) -
             example = template.get(section, {}).get(key, example_of(declaration.unit))
             cure = f'an actuator of kind {kind} needs a line like {key} = "{example}" under [{section}]'
             raise InputError(f"{section}.{key} is missing: {cure}")
-    return part(**{key: as_float(value) for key, value in values.items()})
+    return {key: as_float(value) for key, value in values.items()}

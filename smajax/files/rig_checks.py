@@ -11,7 +11,8 @@ from smajax.files.rig_kinds import Stages, rig_phrase
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE, FitSection, RigSection
 from smajax.files.rig_structure import STRUCTURE_KEYS
 from smajax.files.toml import advice, parse_toml
-from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
+from smajax.parameters import checks, declarations
+from smajax.parameters.checks import Declaration
 from smajax.plant.coil import Coil
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.wire import AbstractWire, Wire
@@ -145,14 +146,7 @@ def check_order(
     Raises:
         InputError: If they do not.
     """
-    for low, high in ORDERED_PAIRS:
-        below, above = value_of(low), value_of(high)
-        if below is not None and above is not None and not below < above:
-            upper, lower = (
-                f"{name} = {as_text(value, unit_of(name))} ({origin[name]})"
-                for name, value in ((high, above), (low, below))
-            )
-            raise InputError(f"{upper} is not above {lower}: correct one of the two")
+    checks.check_order(value_of, lambda n, value: f"{n} = {as_text(value, unit_of(n))} ({origin[n]})")
     detwinned, twinned = value_of("initial.detwinned"), value_of("initial.twinned")
     if detwinned is not None and twinned is not None and detwinned + twinned > 1.0 + _FRACTION_ROUNDING:
         total = f"initial.detwinned and initial.twinned add up to {detwinned + twinned:.6g}"

@@ -36,7 +36,8 @@ from smajax.files.rig_values import (
     value_sources,
 )
 from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
-from smajax.parameters import TIES, Declaration, by_leaf
+from smajax.parameters import TIES, by_leaf
+from smajax.parameters.checks import Declaration
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
@@ -242,9 +243,11 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
     entries = entries_for(parameter_set, table, by_leaf(values))
     leaf_values = {**DEFAULTS.get(head.kind, {}), **by_leaf(entry_values(entries)), **by_leaf(values)}
     require_values([n for n in leaves if table[n].default is None], leaf_values, stages)
-    plant = build_plant(stages, leaf_values, free)
     sources = value_sources(leaves, entries, values, parameter_set.name, place)
-    _check_values(plant, table, free, sources)
+    # Stages check the order as well, without the place of a value.
+    check_order(leaf_values.get, lambda n: table[n].unit, sources)
+    plant = build_plant(stages, leaf_values, free)
+    _check_counts(plant, table, free, sources)
 
     # Effects and sensors depend on the stages.
     check_observed(observe, plant, head.kind)
@@ -305,12 +308,11 @@ def _refuse_actuator(head: Any) -> None:
         raise InputError(f"{problem}: 'smajax sweep' computes them, 'smajax check' shows its file")
 
 
-def _check_values(
+def _check_counts(
     plant: Plant, table: Mapping[str, Declaration], free: Iterable[str], sources: Mapping[str, str]
 ) -> None:
-    """Check values that depend on each other, and counts; a count that is fitted may be any number."""
+    """Check counts, and the geometry of a coil; a count that is fitted may be any number."""
     counts = {n: d for n, d in table.items() if n not in TIES and n not in set(free)}
-    check_order(lambda n: value_of(plant, n), lambda n: table[n].unit, sources)
     check_whole(counts, lambda n: value_of(plant, n), sources)
     check_coil(plant.wire)
 

@@ -10,7 +10,8 @@ from smajax.files.parameter_sets import Entry, find_set, read_parameters
 from smajax.files.rig_kinds import Stages
 from smajax.files.toml import show, validate
 from smajax.files.validators import section_model
-from smajax.parameters import TIES, Declaration, by_leaf
+from smajax.parameters import TIES, by_leaf
+from smajax.parameters.checks import Declaration
 
 
 class ParameterSet(NamedTuple):

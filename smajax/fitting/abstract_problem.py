@@ -1,6 +1,7 @@
 """The interface between a fit problem and a search, and the two functions of a problem that are compiled."""
 
 import abc
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.fitting.compilation import vmap_unless_single
+from smajax.fitting.compilation import SEARCH_OPTIONS, vmap_unless_single
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.parameters import CheckedModule
 
@@ -59,7 +60,7 @@ def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[A
     return problem.residual(vector)
 
 
-@jit_with_kernels
+@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
 def costs(problem: AbstractFitProblem, vectors: Float[Array, "m p"]) -> Float[Array, " m"]:
     """Compute the sums of squares of the residual at several vectors, as one batch.
 

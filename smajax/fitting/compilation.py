@@ -1,5 +1,7 @@
-"""Code that serves the compiler only; none of it changes a result.
+"""Code that serves the compiler only.
 
+- ``SEARCH_OPTIONS``: the programs of a search, which are never part of another program, are compiled with the options
+  of the commands, and round in the same way from Python. Nothing else here changes a result.
 - ``vmap_unless_single``: a batch of one compiles and runs slower than no batch, so a single start, recording or point
   is computed without one.
 - ``LARGE_PROGRAM_OPTIONS``: in a large program without a batch, LLVM's later optimisations take long and save no run
@@ -14,7 +16,10 @@ from typing import Any
 
 import jax
 
-LARGE_PROGRAM_OPTIONS = {"xla_backend_optimization_level": 1}
+from smajax.numerics.jax_setup import EMITTER_OPTIONS
+
+SEARCH_OPTIONS: dict[str, Any] = {**EMITTER_OPTIONS}
+LARGE_PROGRAM_OPTIONS: dict[str, Any] = {**SEARCH_OPTIONS, "xla_backend_optimization_level": 1}
 
 
 def vmap_unless_single(function: Callable[..., Any], size: int, *arguments: Any) -> Any:

@@ -310,9 +310,13 @@ def _fitted_plants(
     rig's ``plant``.
     """
     shared, own = problem.values(jnp.asarray(vector))
-    fitted = parameters.replace(problem.plant, shared)
-    plants = tuple(parameters.replace(fitted, {n: v[k] for n, v in own.items()}) for k in range(recordings))
-    general = parameters.replace(fitted, {n: jnp.mean(v) for n, v in own.items() if not n.startswith("initial.")})
+    fitted = parameters.replace(problem.plant, shared, ordered=False)
+    plants = tuple(
+        parameters.replace(fitted, {n: v[k] for n, v in own.items()}, ordered=False) for k in range(recordings)
+    )
+    general = parameters.replace(
+        fitted, {n: jnp.mean(v) for n, v in own.items() if not n.startswith("initial.")}, ordered=False
+    )
     for name in own:
         if name.startswith("initial."):
             key = name.removeprefix("initial.")

@@ -5,6 +5,7 @@ interruption keeps the best point so far, and the failure of one start does not 
 """
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
-from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, vmap_unless_single
+from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, SEARCH_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.progress import CallbackStop, stoppable
@@ -248,7 +249,7 @@ class MultiStartSolver:
         return self._solver, self._fn, self._points, self._states, self._bounds, args, self._sequential
 
 
-@jit_with_kernels
+@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
 def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
     struct = jax.ShapeDtypeStruct((size,), jnp.float64)
     return jax.vmap(lambda y: solver.init(lambda y, args: (y, None), y, None, {}, struct, None, frozenset()))(points)
@@ -282,7 +283,7 @@ def _step_all(
     return vmap_unless_single(batched, points.shape[0], points, states, bounds)
 
 
-_step_starts = jit_with_kernels(_step_all)
+_step_starts = jit_with_kernels(_step_all, compiler_options=SEARCH_OPTIONS)
 _step_starts_large = jit_with_kernels(
     _step_all,
     compiler_options=LARGE_PROGRAM_OPTIONS,

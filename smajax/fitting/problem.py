@@ -23,7 +23,7 @@ from smajax.fitting.compilation import vmap_unless_single
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.unknowns import MIN_RELATIVE_BAND, Settings, Unknown, bounds_of, make_unknown
 from smajax.numerics.nonsmooth import maximum, minimum
-from smajax.parameters import ORDERED_PAIRS
+from smajax.parameters.checks import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
@@ -196,10 +196,10 @@ class Problem(AbstractFitProblem):
     def _for_each_recording(self, single: Callable[[Plant, Inputs, Any], Any], vector: jax.Array, more: Any) -> Any:
         """Map a function over each recording's plant, inputs and entry of ``more``."""
         shared, own = self.values(vector)
-        plant = parameters.replace(self.plant, shared)
+        plant = parameters.replace(self.plant, shared, ordered=False)
 
         def of_recording(own: dict[str, jax.Array], inputs: Inputs, entry: Any) -> Any:
-            return single(parameters.replace(plant, own), inputs, entry)
+            return single(parameters.replace(plant, own, ordered=False), inputs, entry)
 
         return vmap_unless_single(of_recording, self.data.measured.shape[0], own, self.data.inputs, more)
 

@@ -3,7 +3,8 @@
 Importing smajax sets none of these: the command line, the tests and the experiments call
 ``smajax.numerics.process.prepare_jax``, which sets the options. They serve the speed of compilation. What changes the
 digits of a plant's programs, that a loop is one machine function, belongs to the programs
-(``smajax.numerics.loop_kernels``); outside of such loops the options may change the rounding of input-output models.
+(``smajax.numerics.loop_kernels``). Outside of such loops the emitters change the rounding of input-output models: the
+programs of a search have ``EMITTER_OPTIONS`` with any options of the process, so that commands and library agree.
 """
 
 import contextlib
@@ -13,11 +14,13 @@ from typing import Any
 
 import jax
 
-# Loops operate on short vectors, which AVX-512 slows down, and XLA's older emitters compile what is outside of them
-# faster. test_a_command_and_the_library_give_the_same_document of tests/integration holds that digits stay.
+# XLA's older emitters compile what is outside of loops faster. XLA aborts the process on an unknown option, and the XLA
+# of jax 0.11 no longer has this one.
+EMITTER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+# Loops operate on short vectors, which AVX-512 slows down.
+# test_a_command_and_the_library_give_the_same_document of tests/integration holds that digits stay.
 XLA_FLAGS = (
-    # XLA aborts the process on an unknown option, and the XLA of jax 0.11 no longer has this one.
-    *(["--xla_cpu_use_fusion_emitters=false"] if jax.__version_info__ < (0, 11) else []),
+    *(f"--{name}={str(value).lower()}" for name, value in EMITTER_OPTIONS.items()),
     *(["--xla_cpu_max_isa=AVX2"] if platform.machine().lower() in ("x86_64", "amd64") else []),
 )
 

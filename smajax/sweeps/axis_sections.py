@@ -11,7 +11,7 @@ from smajax.errors import InputError
 from smajax.files.renamed_keys import current_name
 from smajax.files.toml import STRICT, advice, show, validate
 from smajax.files.validators import one_of, quantity
-from smajax.parameters import ORDERED_PAIRS, Declaration
+from smajax.parameters.checks import ORDERED_PAIRS, Declaration
 from smajax.sweeps.space import DEFAULT_POINTS, Axis
 from smajax.sweeps.subject import Subject
 from smajax.units import as_text

@@ -17,7 +17,7 @@ from smajax.files import actuator_file
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.files.toml import STRICT, quantity_at, read_text, show, validate
 from smajax.files.validators import one_of
-from smajax.parameters import Declaration
+from smajax.parameters.checks import Declaration
 from smajax.plant.mechanisms.rotary import MasslessRotary
 from smajax.recordings.recording import Recording
 from smajax.sweeps.actuator_problem import ActuatorSweepProblem

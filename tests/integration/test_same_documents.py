@@ -13,6 +13,9 @@ from smajax.recordings.datasets import data_path
 BENCH = data_path("recordings", "dead-weight")
 CONTROLLER = data_path("controllers", "dead-weight.toml")
 FIT = [BENCH / "rig.toml", BENCH / "train.csv"]
+# An input-output model of each family but networks, which take minutes; that of the transfer functions is linear algebra
+# outside of any loop.
+COMPARED = ["bouc-wen", "prandtl-ishlinskii", "hammerstein-wiener", "transfer-function-one-pole"]
 # Arguments of the command, the document, and the call in Python.
 STUDIES = {
     "fit": ([*FIT, "--holdout", BENCH / "holdout.csv"], "fit.json", "sma.fit({0!r}, {1!r}, holdout={3!r})"),
@@ -21,6 +24,11 @@ STUDIES = {
         [*FIT, "--select", BENCH / "select.csv", "--holdout", BENCH / "holdout.csv"],
         "diagnosis.json",
         "sma.diagnose({0!r}, {1!r}, select={3!r}, holdout={5!r})",
+    ),
+    "compare": (
+        [*FIT, "--holdout", BENCH / "holdout.csv", "--models", ",".join(COMPARED)],
+        "compare.json",
+        "sma.compare({0!r}, {1!r}, holdout={3!r}, models={models})",
     ),
     "simulate": (FIT, "simulation.csv", "sma.predict({0!r}, {1!r})"),
 }
@@ -45,7 +53,7 @@ def test_a_command_and_the_library_give_the_same_document(name, tmp_path):
     arguments, document, call = STUDIES[name]
     texts = [str(argument) for argument in arguments]
     command, library = tmp_path / "command", tmp_path / "library"
-    program = PROGRAM.format(call=call.format(*texts), folder=str(library))
+    program = PROGRAM.format(call=call.format(*texts, models=COMPARED), folder=str(library))
     clean = {key: value for key, value in os.environ.items() if key not in OURS}
     subprocess.run([sys.executable, "-m", "smajax", name, *texts, "--out", str(command)], env=clean, check=True)
     subprocess.run([sys.executable, "-c", program], env=clean, check=True)

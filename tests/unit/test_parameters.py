@@ -1,5 +1,6 @@
 """Parameters by name in a plant, and the files that hold them."""
 
+import dataclasses
 import math
 import os
 import pathlib
@@ -31,7 +32,7 @@ class TestNames:
     def test_all_names_can_be_read_and_replaced(self, plant):
         for name, declared in parameters.all_declarations(plant).items():
             value = min(max(0.25, declared.lower), declared.upper)
-            changed = parameters.replace(plant, {name: value})
+            changed = parameters.replace(plant, {name: value}, ordered=False)
             assert float(parameters.get(changed, name)) == value, name
             others = set(parameters.expand(parameters.all_declarations(plant))) - set(parameters.expand([name]))
             for other in others:
@@ -41,6 +42,43 @@ class TestNames:
     def test_none_is_no_value(self, plant):
         with pytest.raises(InputError, match="^wire.length is None: give a number in m$"):
             parameters.replace(plant, {"wire.length": None})
+
+    @pytest.mark.parametrize(
+        ("values", "message"),
+        [
+            (
+                {"material.austenite_start": 80.0},
+                "material.austenite_finish = 73.8 degC is not above material.austenite_start = 80 degC: correct one of the two",
+            ),
+            (
+                {"material.martensite_start": 40.0, "material.martensite_finish": np.asarray(40.0)},
+                "material.martensite_start = 40 degC is not above material.martensite_finish = 40 degC: correct one of the two",
+            ),
+        ],
+    )
+    def test_a_transformation_ends_above_its_start(self, plant, values, message):
+        with pytest.raises(InputError) as caught:
+            parameters.replace(plant, values)
+        assert str(caught.value) == message
+        # Both ends may move past each other's present values, in any order.
+        shifted = parameters.replace(plant, {"material.austenite_start": 150.0, "material.austenite_finish": 160.0})
+        assert float(shifted.material.austenite_start) == 150.0
+        traced = jax.jit(lambda value: parameters.replace(plant, {"material.austenite_start": value}))(80.0)
+        assert float(traced.material.austenite_start) == 80.0
+
+    def test_the_constructor_of_a_law_checks_the_order(self, plant):
+        law, name = plant.material, type(plant.material).__name__
+        message = (
+            f"^{name}.austenite_finish = 40 degC is not above {name}.austenite_start = 68 degC: correct one of the two$"
+        )
+        with pytest.raises(InputError, match=message):
+            dataclasses.replace(law, austenite_finish=40.0)
+        with pytest.raises(InputError, match=f"^{name}.austenite_finish = 40 degC is not above"):
+            dataclasses.replace(law, austenite_start=np.array([60.0, 50.0]), austenite_finish=np.array([70.0, 40.0]))
+        traced = jax.jit(lambda finish: dataclasses.replace(law, austenite_finish=finish))(40.0)
+        assert float(traced.austenite_finish) == 40.0
+        grain = law.with_bands((0.1, 0.5), (-0.1, 0.5))
+        assert float(grain.austenite_start) < float(grain.austenite_finish)
 
     def test_sections_of_the_mechanism_have_names_too(self, plant):
         assert {"load.mass", "wire.length", "sensor.displacement_gain", "heat.capacity"} <= set(

@@ -75,8 +75,7 @@ def _analyse(recordings: list[Path], model: str | None, options: dict[str, Any],
         try:
             return thermal_cycle_properties(recordings, model=model, progress=progress, **options)
         except InputError as error:
-            path = next((path for path in recordings if str(error).startswith(f"{path}")), None)
-            raise with_cure_of_this_command(error, path, options) from None
+            raise with_cure_of_this_command(error, error.fields.get("path"), options) from None
 
 
 def _write_set(path: Path, study: "PropertiesStudy") -> None:

@@ -22,7 +22,8 @@ from smajax.control.controllers.around_pid import AbstractControllerAroundPID
 from smajax.control.controllers.pid import PID, PIDState
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import clip
-from smajax.parameters import is_concrete, parameter
+from smajax.parameters import parameter
+from smajax.parameters.checks import is_concrete
 
 
 class AdaptiveState(NamedTuple):

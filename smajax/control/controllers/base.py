@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.errors import InputError, suggestion
-from smajax.parameters import CheckedModule, declarations, is_concrete
+from smajax.parameters import CheckedModule, declarations
+from smajax.parameters.checks import is_concrete
 
 _Controller = TypeVar("_Controller", bound="AbstractController")
 # Fields that are given by rig and sampling, and are neither gains nor options.
@@ -164,3 +165,21 @@ def check_controller_class(cls: Any) -> None:
     missing = sorted([*cls.__abstractmethods__, *cls.__abstractvars__])
     if missing:
         raise InputError(f"{cls.__name__} is not a complete controller: it lacks {', '.join(missing)}")
+
+
+def require_controller(controller: object) -> None:
+    """Check that an object is a controller, and not its class or something else.
+
+    Args:
+        controller: The object.
+
+    Raises:
+        InputError: if it is not.
+    """
+    if not isinstance(controller, AbstractController):
+        is_class = isinstance(controller, type)
+        shown = f"the class {controller.__name__}" if is_class else f"an object of type {type(controller).__name__}"
+        raise InputError(
+            f"{shown} is no controller: give an instance of a class derived from AbstractController, such as "
+            "smajax.controllers.PID(kp=1.0, period=0.01), or a ClosedLoop"
+        )

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from smajax.control.estimators.base import AbstractTemperatureEstimator, per_wire
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters import is_concrete
+from smajax.parameters.checks import is_concrete
 from smajax.plant.plant import Plant
 
 # Martensite fraction at which ``ThermalObserver.of`` evaluates the heat capacity: the middle of a transformation.

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.base import AbstractController, require_controller
 from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.export import c_templates
 from smajax.control.export.c_functions import (
@@ -70,9 +70,11 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
         version: Version of smajax.
 
     Raises:
-        InputError: for an operation of the controller that cannot be written in C, with its name; for an estimator
-            other than a thermal observer; or for a temperature limiter with another timeout than ``DROPOUT_TIMEOUT``.
+        InputError: for what is no controller; for an operation of the controller that cannot be written in C, with its
+            name; for an estimator other than a thermal observer; or for a temperature limiter with another timeout than
+            ``DROPOUT_TIMEOUT``.
     """
+    require_controller(owner.controller if isinstance(owner, ClosedLoop) else owner)
     loop = owner if isinstance(owner, ClosedLoop) else ClosedLoop(owner, channel="value")
     if loop.estimator is not None:
         estimator_document(loop.estimator)

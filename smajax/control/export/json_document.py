@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.base import AbstractController, require_controller
 from smajax.control.controllers.registry import kind_of
 from smajax.control.estimators.base import AbstractTemperatureEstimator
 from smajax.control.estimators.thermal_observer import ThermalObserver
@@ -57,10 +57,11 @@ def controller_document(owner: AbstractController | ClosedLoop, units: Mapping[s
         units: Unit of each gain by name.
 
     Raises:
-        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope, a gain
-            without a unit, or a temperature limiter with another timeout.
+        InputError: for what is no controller, a feedforward other than the inverse of a Prandtl-Ishlinskii operator
+            with one envelope, a gain without a unit, or a temperature limiter with another timeout.
     """
     controller = owner.controller if isinstance(owner, ClosedLoop) else owner
+    require_controller(controller)
     inverse, constants, lone = feedforward_inverse(controller), controller.constants(), jnp.zeros(())
     for name in gains(owner):
         if name not in units:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.base import AbstractController, require_controller
 from smajax.control.estimators.base import AbstractFilter, AbstractTemperatureEstimator, per_wire
 from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.loop.allocation import Allocation
@@ -21,7 +21,7 @@ from smajax.control.sensors.instruments import Instruments
 from smajax.control.sensors.sensor_model import ideal_sensor
 from smajax.errors import InputError, suggestion
 from smajax.numerics.nonsmooth import maximum, minimum
-from smajax.parameters import is_concrete
+from smajax.parameters.checks import is_concrete
 
 
 class Measurement(NamedTuple):
@@ -117,9 +117,10 @@ class ClosedLoop(eqx.Module):
             allow_dropouts: Whether the controlled channel may be NaN.
 
         Raises:
-            InputError: if the parts have different periods; if the limits are not in order; or if ``use_estimate`` is
-                set without a filter of the whole plant, or with ``allow_dropouts``.
+            InputError: if ``controller`` is not one; if the parts have different periods; if the limits are not in
+                order; or if ``use_estimate`` is set without a filter of the whole plant, or with ``allow_dropouts``.
         """
+        require_controller(controller)
         if limits is not None:
             lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
             if is_concrete(lower) and is_concrete(upper) and lower >= upper:

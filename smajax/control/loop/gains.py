@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 from smajax.control.controllers.base import AbstractController
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.errors import InputError, suggestion
-from smajax.parameters import Declaration, check_value, declarations
+from smajax.parameters import declarations
+from smajax.parameters.checks import Declaration, check_value
 
 # Limits of the actuator, which are given by the rig and are not tuned.
 _NOT_TUNED = ("lower", "upper")

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from smajax.errors import InputError
+from smajax.parameters.checks import ORDERED_PAIRS
 
 # Number of attempts to draw samples within their bounds; samples that are still outside get the estimate. Chosen by
 # trial.
@@ -21,7 +22,8 @@ def draw_from_fit(
 ) -> dict[str, Float[np.ndarray, " draws"]]:
     """Draw samples of the fitted parameters from a normal distribution with the fit's intervals and correlations.
 
-    Samples outside the parameters' bounds are drawn again. Parameters at a bound or without an interval keep their
+    Samples outside the parameters' bounds are drawn again, and those in which a transformation does not end above its
+    start. Parameters at a bound or without an interval keep their
     estimate; parameters of single recordings are left out.
 
     Args:
@@ -55,12 +57,23 @@ def draw_from_fit(
     rows = np.arange(count)
     for _ in range(_ATTEMPTS):
         samples[rows] = estimate + deviation * (rng.standard_normal((len(rows), len(free))) @ root.T)
-        rows = np.flatnonzero(np.any((samples < lower) | (samples > upper), axis=1))
+        outside = np.any((samples < lower) | (samples > upper), axis=1)
+        rows = np.flatnonzero(outside | _is_out_of_order(samples, free, entries))
         if not len(rows):
             break
     samples[rows] = estimate
     fixed = {n: np.full(count, e["estimate"]) for n, e in entries.items() if n not in free}
     return {n: samples[:, i] for i, n in enumerate(free)} | fixed
+
+
+def _is_out_of_order(
+    samples: np.ndarray, names: Sequence[str], entries: Mapping[str, Mapping[str, Any]]
+) -> Bool[np.ndarray, " draws"]:
+    """Whether a transformation does not end above its start in each sample; ``entries`` has the other values."""
+    columns = {n: np.full(len(samples), entry["estimate"]) for n, entry in entries.items()}
+    columns |= {n: samples[:, i] for i, n in enumerate(names)}
+    pairs = [(columns[low], columns[high]) for low, high in ORDERED_PAIRS if low in columns and high in columns]
+    return np.any([low >= high for low, high in pairs], axis=0) if pairs else np.zeros(len(samples), bool)
 
 
 def _correlation_of(document: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:

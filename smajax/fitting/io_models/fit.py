@@ -18,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 from smajax.errors import Cancelled, NumericsError
 from smajax.fitting.abstract_problem import costs, residual
 from smajax.fitting.bounds import parameters_at_bounds, parameters_near_bounds
+from smajax.fitting.compilation import SEARCH_OPTIONS
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.io_models.networks import fit_network
 from smajax.fitting.io_models.problem import (
@@ -155,8 +156,8 @@ class IOModelFit:
         return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input), evenly_spaced=True))
 
 
-_respond = jit_with_kernels(response.compute_response)
-_weighted_residual = jit_with_kernels(residual)
+_respond = jit_with_kernels(response.compute_response, compiler_options=SEARCH_OPTIONS)
+_weighted_residual = jit_with_kernels(residual, compiler_options=SEARCH_OPTIONS)
 
 
 class _SearchEnd(NamedTuple):

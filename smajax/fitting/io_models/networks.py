@@ -15,6 +15,7 @@ training inputs in other orders, and the ends that diverge on the fewest of them
 
 import contextlib
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable
@@ -28,6 +29,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
+from smajax.fitting.compilation import SEARCH_OPTIONS
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.numerics.loop_kernels import jit_with_kernels
@@ -265,7 +267,7 @@ def divergence_rate(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
     return 1.0 - np.mean(bounded, axis=0)
 
 
-@jit_with_kernels
+@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
 def _outputs(problem: IOModelProblem, vectors: jax.Array) -> jax.Array:
     """Outputs at points, shape ``(s, r, n)``."""
     return jax.lax.map(problem.predict, vectors)
@@ -359,7 +361,7 @@ def _distinct_ends(end_costs: list[float]) -> list[int]:
     return chosen[:_MAX_ENDS]
 
 
-@jit_with_kernels
+@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
 def _minimise_closed_loop(
     point: jax.Array, ridge_problem: RidgeProblem, bounds: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:

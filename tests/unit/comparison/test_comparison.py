@@ -1,5 +1,6 @@
 """``smajax compare``: material laws and input-output models on one recording, by the command line."""
 
+import dataclasses
 import json
 import math
 import shutil
@@ -15,7 +16,7 @@ from smajax.comparison.material_models import with_material_law
 from smajax.comparison.model_result import ModelResult
 from smajax.comparison.ranking import rank_models
 from smajax.comparison.scores import fit_percent
-from smajax.errors import Cancelled
+from smajax.errors import Cancelled, InputError
 from smajax.files.rig_file import read_rig
 from smajax.fitting.io_models.fit import IOModelFit
 from smajax.recordings.datasets import data_path
@@ -391,3 +392,24 @@ def test_a_comparison_that_is_stopped_has_the_models_before(signal, monkeypatch)
     stopped_at = "a"
     with pytest.raises(Cancelled, match="before a model was fitted"):
         compare.compare_models(rig, ["a", "b"], [], seed=0, progress=stop)
+
+
+def test_a_reason_that_models_share_is_said_once(monkeypatch):
+    rig = read_rig(data_path("recordings", "dead-weight") / "rig.toml")
+    recording = rig.read(data_path("recordings", "dead-weight") / "train.csv").slice(0.0, 2.0)
+    idle = dataclasses.replace(
+        recording, channels={**recording.channels, "current": np.zeros_like(recording.channels["current"])}
+    )
+    with pytest.raises(InputError) as caught:
+        compare.compare_models(rig, ["bouc-wen", "narx"], [idle, idle], seed=0)
+    reason = "takes one input that changes, and here no input changes: vary one"
+    assert str(caught.value) == f"no model could be fitted: bouc-wen, narx: {reason}"
+
+    # What one model says of itself stays as it is, also where the sentence begins with its name.
+    def refuse(rig, name, *_):
+        raise InputError(f"{name} has no start value of material.n1: give it a default")
+
+    monkeypatch.setattr(compare, "fit_input_output_model", refuse)
+    with pytest.raises(InputError) as caught:
+        compare.compare_models(rig, ["bouc-wen"], [recording, recording], seed=0)
+    assert str(caught.value).endswith("bouc-wen: bouc-wen has no start value of material.n1: give it a default")

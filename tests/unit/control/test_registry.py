@@ -9,6 +9,9 @@ import pytest
 from smajax.control.controllers import PID, AbstractController, controller_class, register_controller
 from smajax.control.controllers.adaptive_pid import AdaptivePID
 from smajax.control.estimators import AbstractTemperatureEstimator
+from smajax.control.export.c_header import c_header
+from smajax.control.export.fmu.controller_model import controller_model
+from smajax.control.export.json_document import controller_document
 from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.gains import gains, with_gains
 from smajax.control.sampled_plant import AbstractSampledSystem
@@ -127,3 +130,32 @@ def test_a_gain_that_starts_at_zero_cannot_adapt(law):
     complete = AdaptivePID(pid(), *map(jnp.asarray, rates), law=law)
     with pytest.raises(InputError, match="kp starts at 0"):
         with_gains(complete, {"kp": 0.0}).check_gains()
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(object(), "an object of type object"), (3, "an object of type int"), (Plain, "the class Plain")],
+)
+def test_what_is_no_controller_is_refused_in_one_sentence(value, shown):
+    message = f"^{shown} is no controller: give an instance of a class derived from AbstractController"
+    exports = (
+        lambda: controller_document(value, {}),
+        lambda: c_header(value, ("A", "m"), "0"),
+        lambda: controller_model(value, ("A", "m"), {}, "loop"),
+    )
+    for export in exports:
+        with pytest.raises(InputError, match=message):
+            export()
+    with pytest.raises(InputError, match=r"needs its channel: give a ClosedLoop\(controller, channel="):
+        controller_model(Plain(kp=1.0, period=0.1), ("A", "m"), {}, "loop")
+
+
+def test_the_document_of_an_own_controller_that_is_not_registered_has_the_name_of_its_class():
+    class Unregistered(Plain):
+        """Proportional controller."""
+
+    own = Unregistered(kp=2.0, period=0.1)
+    with pytest.raises(InputError, match="^the gain 'kp' has no unit: give one of kp each a unit$"):
+        controller_document(own, {})
+    document = controller_document(own, {"kp": "A/m"})
+    assert document["kind"] == "Unregistered" and document["gains"]["kp"]["value"] == 2.0

@@ -308,6 +308,21 @@ def test_draws_of_a_fit_have_its_intervals_and_correlations():
         draw_from_fit(document, ["material.max_transformation_strain"], 5, np.random.default_rng(0))
 
 
+def test_in_each_draw_of_a_fit_transformations_end_above_their_start():
+    common = {"at_bound": False, "bounds": [None, None]}
+    entries = {
+        "material.austenite_start": {"estimate": 60.0, "lower95": 55.0, "upper95": 65.0, **common},
+        "material.austenite_finish": {"estimate": 64.0, "lower95": 59.0, "upper95": 69.0, **common},
+        "material.martensite_start": {"estimate": 50.0, "lower95": 45.0, "upper95": 55.0, **common},
+        "material.martensite_finish": {"estimate": 49.0, "lower95": None, "upper95": None, **common},
+    }
+    document = {"parameters": entries, "correlations": {"parameters": list(entries), "matrix": np.eye(4).tolist()}}
+    draws = draw_from_fit(document, list(entries), 2000, np.random.default_rng(0))
+    assert np.all(draws["material.austenite_start"] < draws["material.austenite_finish"])
+    assert np.all(draws["material.martensite_start"] > 49.0)
+    assert draws["material.austenite_start"].std() > 1.0
+
+
 def run(tmp_path, content, *more, rig=RIG, out="out"):
     (tmp_path / "controller.toml").write_text(content)
     return CliRunner().invoke(

@@ -1009,6 +1009,17 @@ def test_the_advice_on_columns_is_that_of_the_file_and_works(tmp_path, head, cel
     assert done.exit_code == 0 and "a.csv: 1 cycle" in done.output
 
 
+def test_the_advice_is_for_the_file_that_cannot_be_read_where_another_name_begins_like_it(tmp_path):
+    temperature, strain = made(1)
+    good, bad = tmp_path / "run.csv", tmp_path / "run.csv.mat"
+    rows = (f"{t:.6g},{100 * e:.6g}" for t, e in zip(temperature, strain, strict=True))
+    good.write_text("\n".join(["temperature [degC],strain [%]", *rows]) + "\n")
+    scipy.io.savemat(bad, {"temperature": temperature, "units": {"temperature": "degC"}})
+    refused = CliRunner().invoke(app, ["properties", str(good), str(bad)])
+    assert refused.exit_code == 2 and "save a vector strain next to them" in refused.output
+    assert "--columns" not in refused.output
+
+
 def test_columns_that_cycles_do_not_need_are_named():
     temperature, strain = made(1)
     data = {"temperature [degC]": temperature, "strain": strain, "force [N]": strain, "ambient [degC]": strain}

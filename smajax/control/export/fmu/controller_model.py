@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 
 from smajax.channels import numbered
+from smajax.control.controllers.base import require_controller
 from smajax.control.export.fmu.model import Model, Variable, channel_definition, channel_kind, equations_text
 from smajax.control.export.json_document import estimator_document
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.dropouts import ReferenceHold
 from smajax.control.loop.gains import gain, gains, with_gains
 from smajax.control.sensors.sensor_model import ideal_sensor
+from smajax.errors import InputError
 
 # Start value of a temperature input, degC, until the importing tool sets it: room temperature.
 _ROOM_TEMPERATURE = 20.0
@@ -39,8 +41,12 @@ def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mappi
         name: Name of the model.
 
     Raises:
-        InputError: for an estimator other than a thermal observer, or an operation that has no NumPy text.
+        InputError: for what is no closed loop, for an estimator other than a thermal observer, or an operation that has
+            no NumPy text.
     """
+    if not isinstance(loop, ClosedLoop):
+        require_controller(loop)
+        raise InputError("the model of a controller needs its channel: give a ClosedLoop(controller, channel=...)")
     if loop.estimator is not None:
         estimator_document(loop.estimator)
     loop = dataclasses.replace(loop, sensor=ideal_sensor(), instruments=None, allow_dropouts=True)

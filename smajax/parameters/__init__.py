@@ -10,7 +10,6 @@ import dataclasses
 import inspect
 import math
 import os
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, get_args, get_type_hints
 
@@ -18,9 +17,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from smajax.errors import InputError, missing_members, suggestion
+from smajax.parameters.checks import Declaration, check_order, check_value
 from smajax.units import as_text
 
 # All of smajax needs double precision. JAX is switched to it here, on import, unless the environment says otherwise.
@@ -31,39 +30,7 @@ TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),
     "material.thermal_expansion": ("material.thermal_expansion_austenite", "material.thermal_expansion_martensite"),
 }
-# The first of each pair has to be below the second: otherwise a transformation has no width, or the wire of a coil does
-# not fit inside it.
-ORDERED_PAIRS: tuple[tuple[str, str], ...] = (
-    ("material.austenite_start", "material.austenite_finish"),
-    ("material.martensite_finish", "material.martensite_start"),
-    ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
-    ("wire.diameter", "wire.coil_diameter"),
-)
 _EFFECTS = "effects."
-# Share of a bound by which a value may be beyond it: an estimate at its bound is so up to the rounding of its scale.
-_BOUND_ROUNDING = 1e-9
-
-
-@dataclasses.dataclass(frozen=True)
-class Declaration:
-    """Properties of a parameter that do not depend on data.
-
-    Attributes:
-        unit: Internal unit, such as ``"Pa"``.
-        meaning: Meaning in a few words, for messages and reports.
-        lower: Lower bound of the values for which the equations hold.
-        upper: Upper bound of the values for which the equations hold.
-        default: Default value; ``None`` for a required parameter, NaN for one that the plant derives from others.
-        whole: Whether the parameter is a count. The equations take any number; files give whole numbers and sweeps
-            sample whole numbers, while a fitted value may be any number.
-    """
-
-    unit: str
-    meaning: str
-    lower: float
-    upper: float
-    default: float | None
-    whole: bool = False
 
 
 def require_x64() -> None:
@@ -126,10 +93,17 @@ class CheckedModule(eqx.Module):
         """Check the values of the declared parameters.
 
         Raises:
-            InputError: If one is outside of its bounds.
+            InputError: If one is outside of its bounds, or a transformation does not end above its start.
         """
-        for key, declared in declarations(self).items():
-            check_value(f"{type(self).__name__}.{key}", getattr(self, key), declared)
+        table, name = declarations(self), type(self).__name__
+        for key, declared in table.items():
+            check_value(f"{name}.{key}", getattr(self, key), declared)
+        # A module does not know the name of its section.
+        key_of = lambda pair_member: pair_member.rpartition(".")[2]  # noqa: E731
+        check_order(
+            lambda n: getattr(self, key_of(n)) if key_of(n) in table else None,
+            lambda n, value: f"{name}.{key_of(n)} = {as_text(value, table[key_of(n)].unit)}",
+        )
 
 
 def _dataclass_fields(cls: type[Any]) -> dict[str, dataclasses.Field]:
@@ -152,59 +126,6 @@ def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx
     """
     annotation = get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
     return [t for t in (annotation, *get_args(annotation)) if isinstance(t, type) and issubclass(t, eqx.Module)]
-
-
-def bounds_error(value: str, declaration: Declaration) -> str:
-    """Return the sentence about a value outside of the bounds of its parameter.
-
-    Args:
-        value: The value as it was given.
-        declaration: Declaration of the parameter.
-    """
-    ends = (declaration.lower, declaration.upper)
-    low, high = (_shown(end, declaration.unit) if math.isfinite(end) else "" for end in ends)
-    span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
-    return f"{value} is not possible for the {declaration.meaning}: give a value {span}"
-
-
-def check_value(name: str, value: Any, declaration: Declaration) -> None:
-    """Check that a value is within the bounds of its declaration; traced values and ``None`` pass.
-
-    Args:
-        name: Name of the parameter, for the message.
-        value: A number or an array in the internal unit.
-        declaration: Declaration of the parameter.
-
-    Raises:
-        InputError: If a value is outside of the bounds, NaN, or text.
-    """
-    if isinstance(value, str):
-        raise InputError(f"{name} = '{value}' is text: give a number in {declaration.unit}")
-    if not is_concrete(value):
-        return
-    numbers = np.asarray(value, float)
-    lower = declaration.lower - _BOUND_ROUNDING * abs(declaration.lower)
-    upper = declaration.upper + _BOUND_ROUNDING * abs(declaration.upper)
-    outside = ~((lower <= numbers) & (numbers <= upper))
-    if np.any(outside):
-        worst = float(numbers[outside].flat[0])
-        raise InputError(f"{name}: {bounds_error(_shown(worst, declaration.unit), declaration)}")
-
-
-def _shown(value: float, unit: str) -> str:
-    """A number with its unit; alone for a gain, whose unit depends on the drive and the channel, as in ``u/y``."""
-    if re.search(r"\b[uy]\b", unit):
-        return f"{value:g}"
-    return as_text(value, unit) if math.isfinite(value) else f"{value} {unit}"
-
-
-def is_concrete(value: Any) -> bool:
-    """Return whether a value is a number or an array whose elements are known, and not traced by JAX.
-
-    Args:
-        value: The value.
-    """
-    return isinstance(value, jax.Array | np.ndarray | np.number | int | float) and not isinstance(value, Tracer)
 
 
 def as_float(value: Any) -> Any:
@@ -352,20 +273,22 @@ def get(plant: Any, name: str) -> jax.Array:
     return jnp.asarray(jnp.nan) if value is None else value
 
 
-def replace(plant: Any, values: Mapping[str, Any]) -> Any:
+def replace(plant: Any, values: Mapping[str, Any], *, ordered: bool = True) -> Any:
     """Return the plant with the named parameters set; works under ``jax.jit``.
 
     Args:
         plant: A plant or an actuator.
         values: Values by name, scalars in internal units. They are applied in order, so a tie followed by one of its
             members gives this member its own value.
+        ordered: Whether a transformation has to end above its start, and so on (``ORDERED_PAIRS``); not so for a plant
+            to which further values are given afterwards, as in a fit.
 
     Returns:
         The plant or actuator with the new values.
 
     Raises:
-        InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds, or a value
-            is ``None``, or an array of another type than float64 or an integer one.
+        InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds or not above
+            its lower neighbour, or a value is ``None``, or an array of another type than float64 or an integer one.
     """
     table = all_declarations(plant) if values else {}
     for name, number in values.items():
@@ -377,6 +300,12 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
             plant = eqx.tree_at(
                 lambda p, m=member: _leaf(p, m), plant, jnp.asarray(value, jnp.float64), is_leaf=lambda x: x is None
             )
+    if ordered:
+        check_order(
+            lambda n: _leaf(plant, n) if n in table else None,
+            lambda n, value: f"{n} = {as_text(value, table[n].unit)}",
+            expand(values),
+        )
     return plant
 
 

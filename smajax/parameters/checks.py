@@ -1,0 +1,125 @@
+"""Declaration of a parameter, and the checks of its value: its bounds, and the order of two that belong together."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Collection
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from smajax.errors import InputError
+from smajax.units import as_text
+
+# The first of each pair has to be below the second: otherwise a transformation has no width, or the wire of a coil does
+# not fit inside it.
+ORDERED_PAIRS: tuple[tuple[str, str], ...] = (
+    ("material.austenite_start", "material.austenite_finish"),
+    ("material.martensite_finish", "material.martensite_start"),
+    ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
+    ("wire.diameter", "wire.coil_diameter"),
+)
+# Share of a bound by which a value may be beyond it: an estimate at its bound is so up to the rounding of its scale.
+_BOUND_ROUNDING = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Declaration:
+    """Properties of a parameter that do not depend on data.
+
+    Attributes:
+        unit: Internal unit, such as ``"Pa"``.
+        meaning: Meaning in a few words, for messages and reports.
+        lower: Lower bound of the values for which the equations hold.
+        upper: Upper bound of the values for which the equations hold.
+        default: Default value; ``None`` for a required parameter, NaN for one that the plant derives from others.
+        whole: Whether the parameter is a count. The equations take any number; files give whole numbers and sweeps
+            sample whole numbers, while a fitted value may be any number.
+    """
+
+    unit: str
+    meaning: str
+    lower: float
+    upper: float
+    default: float | None
+    whole: bool = False
+
+
+def bounds_error(value: str, declaration: Declaration) -> str:
+    """Return the sentence about a value outside of the bounds of its parameter.
+
+    Args:
+        value: The value as it was given.
+        declaration: Declaration of the parameter.
+    """
+    ends = (declaration.lower, declaration.upper)
+    low, high = (_shown(end, declaration.unit) if math.isfinite(end) else "" for end in ends)
+    span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
+    return f"{value} is not possible for the {declaration.meaning}: give a value {span}"
+
+
+def check_value(name: str, value: Any, declaration: Declaration) -> None:
+    """Check that a value is within the bounds of its declaration; traced values and ``None`` pass.
+
+    Args:
+        name: Name of the parameter, for the message.
+        value: A number or an array in the internal unit.
+        declaration: Declaration of the parameter.
+
+    Raises:
+        InputError: If a value is outside of the bounds, NaN, or text.
+    """
+    if isinstance(value, str):
+        raise InputError(f"{name} = '{value}' is text: give a number in {declaration.unit}")
+    if not is_concrete(value):
+        return
+    numbers = np.asarray(value, float)
+    lower = declaration.lower - _BOUND_ROUNDING * abs(declaration.lower)
+    upper = declaration.upper + _BOUND_ROUNDING * abs(declaration.upper)
+    outside = ~((lower <= numbers) & (numbers <= upper))
+    if np.any(outside):
+        worst = float(numbers[outside].flat[0])
+        raise InputError(f"{name}: {bounds_error(_shown(worst, declaration.unit), declaration)}")
+
+
+def _shown(value: float, unit: str) -> str:
+    """A number with its unit; alone for a gain, whose unit depends on the drive and the channel, as in ``u/y``."""
+    if re.search(r"\b[uy]\b", unit):
+        return f"{value:g}"
+    return as_text(value, unit) if math.isfinite(value) else f"{value} {unit}"
+
+
+def is_concrete(value: Any) -> bool:
+    """Return whether a value is a number or an array whose elements are known, and not traced by JAX.
+
+    Args:
+        value: The value.
+    """
+    return isinstance(value, jax.Array | np.ndarray | np.number | int | float) and not isinstance(value, Tracer)
+
+
+def check_order(
+    value_of: Callable[[str], Any], describe: Callable[[str, float], str], names: Collection[str] | None = None
+) -> None:
+    """Check that the first value of each pair of ``ORDERED_PAIRS`` is below the second; traced values pass.
+
+    Args:
+        value_of: Returns the value of a parameter, a number or an array, in its internal unit; ``None`` if it has none.
+        describe: Returns the text for the message of a parameter's name and value.
+        names: Names of parameters; only pairs with one of them are checked. By default all pairs.
+
+    Raises:
+        InputError: If one is not.
+    """
+    for low, high in ORDERED_PAIRS:
+        if names is not None and low not in names and high not in names:
+            continue
+        below, above = value_of(low), value_of(high)
+        if is_concrete(below) and is_concrete(above):
+            lower, upper = np.broadcast_arrays(np.asarray(below, float), np.asarray(above, float))
+            wrong = ~(lower < upper)
+            if np.any(wrong):
+                first, second = describe(high, float(upper[wrong].flat[0])), describe(low, float(lower[wrong].flat[0]))
+                raise InputError(f"{first} is not above {second}: correct one of the two")
