@@ -61,7 +61,7 @@ class Budget:
             fitted = "-" if np.isnan(entry.fitted) else f"{entry.fitted:.3g}"
             target, met = "-", None
             if entry.model == self.best and self.target is not None:
-                target, met = f"<= {self.target:g} {self.unit}", entry.held_out <= self.target
+                target, met = f"<= {self.target:.3g} {self.unit}", entry.held_out <= self.target
             measured = f"{fitted} / {entry.held_out:.3g} {self.unit}"
             numbers = {"fitted": entry.fitted, "held_out": entry.held_out, "unit": self.unit}
             rows.append(Row(f"{self.recording}, {self.channel}: {entry.model}", target, measured, met, numbers))

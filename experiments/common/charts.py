@@ -180,7 +180,7 @@ def draw_bars(groups: Sequence[Bars], folder: Path, name: str, label: str) -> Pa
 
     heights = [_TITLE_INCHES + _ROW_INCHES * len(group.names) for group in groups]
     path = folder / f"{name}.svg"
-    with matplotlib.rc_context(_STYLE | {"axes.grid.axis": "x", "font.size": 8}):
+    with matplotlib.rc_context(_STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True, "font.size": 8}):
         figure = Figure(figsize=(_INCHES[0], sum(heights) + 0.3), layout="constrained")
         for axes, group in zip(
             np.ravel(figure.subplots(len(groups), 1, height_ratios=heights, squeeze=False)), groups, strict=True

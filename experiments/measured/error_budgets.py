@@ -9,7 +9,7 @@ fitted to the training and the selection part together, and predict the held-out
 - ``flexinol``, ``nitihf``: isobaric cycles; ``superelastic``: stress-strain loops; ``asmada``: cycles under one load.
   Their temperature is prescribed, so the wire has one temperature and no cells. Effects are searched for on a wire of
   one grain and on one of five, and the selection part decides which of the two counts. As in a diagnosis, at most three
-  effects are selected, without the free shapes and the growing sets of the experiments' own searches.
+  effects are selected, on fewer rows and without the free shapes and the growing sets of the experiments' own searches.
 - ``guarneros``: a heated wire against a force sensor, with cells, grains, and both; then with both and the effects that
   such a rig has in any case (``guarneros.EFFECTS``).
 - ``softlimb``: four wires in a soft arm, each in silicone. The arm's model has one temperature along the wire, and its
@@ -42,12 +42,15 @@ from experiments.measured import bu_softlimb, cyclic, guarneros, isobaric, super
 
 import numpy as np
 
+from smajax.diagnosis.data_split import DataSplit
 from smajax.diagnosis.structure import CELLS, GRAINS, SPREADS
 from smajax.files.rig_file import parse_rig
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording
 
 STARTS = 4  # start points of a base fit on a path
+SCORED = 4  # distance of the scored rows of the held-out loop: all splits of a search have grids of one length
+CYCLIC_ROWS = 9  # distance of the rows of the hundred cycles, fitted and scored
 SPREAD_DEVIATION = 0.3  # prior of the spreads of the grains: any share of a band
 DRAWN = 4  # start points of a fit to guarneros that are drawn, in addition to ``guarneros.STARTS``
 ARM_STARTS, ARM_HOPS, ARM_STEPS = 8, 4, 60  # as in bu_softlimb.py, but fewer
@@ -70,10 +73,12 @@ def superelastic_subject(every: int) -> Subject:
     temperatures = (*superelastic.FITTED, superelastic.HELD)
     loops = {t: superelastic.read_loop(folder / f"pseudoelastic_{t}C.xlsx") for t in temperatures}
     train, select = superelastic.train_part(loops, every), superelastic.select_part(loops, every)
+    rows = np.arange(0, len(loops[superelastic.HELD].load), SCORED)
+    held_out = loops[superelastic.HELD].recording(f"{superelastic.HELD} degC", superelastic.load_zero(loops), rows)
     return Subject(
         "tamu-muscle-superelastic, 40 degC",
         parse_rig(superelastic.RIG),
-        (train, select, superelastic.holdout_part(loops)),
+        (train, select, DataSplit((held_out,))),
         superelastic.fitted_part(loops, every),
         "stress",
         "MPa",
@@ -85,12 +90,12 @@ def superelastic_subject(every: int) -> Subject:
 
 
 def cyclic_subject(every: int) -> Subject:
-    """Return the hundred cycles, the last forty of which are held out; of their rows every third one is scored."""
+    """Return the hundred cycles, the last forty of which are held out."""
     test = cyclic.read_test(DATA / "asmada-cyclic" / cyclic.FILE)
     parts = (
         cyclic.train_part(test, every),
         cyclic.select_part(test, every),
-        test.part("cycles 61 to 100", (cyclic.FITTED + 1, cyclic.LAST), cyclic.THINNED),
+        test.part("cycles 61 to 100", (cyclic.FITTED + 1, cyclic.LAST), every),
     )
     naive = 100 * rms(cyclic.repeat_last_cycle(test))
     return Subject(
@@ -225,7 +230,7 @@ RECORDINGS: dict[str, Callable[[bool], Made]] = {
     "flexinol": on_path(lambda: isobaric_subject("tamu-flexinol-isobaric", 150)),
     "nitihf": on_path(lambda: isobaric_subject("nasa-bigelow-nitihf", 200)),
     "superelastic": on_path(lambda: superelastic_subject(superelastic.THINNED)),
-    "asmada": on_path(lambda: cyclic_subject(2 * cyclic.THINNED)),
+    "asmada": on_path(lambda: cyclic_subject(CYCLIC_ROWS)),
     "guarneros": guarneros_budgets,
     "softlimb": softlimb_budgets,
 }
