@@ -142,3 +142,56 @@ def write_svg(chart: Chart, path: Path) -> None:
 
 def _colours(count: int) -> list[str]:
     return [_COLOURS[i % len(_COLOURS)] for i in range(count)]
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A group of horizontal bars.
+
+    Attributes:
+        title: Title of the group.
+        names: Names of the bars, from the top.
+        values: Their lengths.
+    """
+
+    title: str
+    names: Sequence[str]
+    values: Sequence[float]
+
+
+# Inches of a bar's row and of a group's title, and the largest number of characters of a name.
+_ROW_INCHES, _TITLE_INCHES, _NAME_LENGTH = 0.24, 0.55, 60
+
+
+def draw_bars(groups: Sequence[Bars], folder: Path, name: str, label: str) -> Path:
+    """Write NAME.svg into a folder: groups of horizontal bars, one below the other.
+
+    Args:
+        groups: The groups.
+        folder: The folder.
+        name: Name of the file.
+        label: Label of the abscissa.
+
+    Returns:
+        The path of the file.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    heights = [_TITLE_INCHES + _ROW_INCHES * len(group.names) for group in groups]
+    path = folder / f"{name}.svg"
+    with matplotlib.rc_context(_STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True, "font.size": 8}):
+        figure = Figure(figsize=(_INCHES[0], sum(heights) + 0.3), layout="constrained")
+        for axes, group in zip(
+            np.ravel(figure.subplots(len(groups), 1, height_ratios=heights, squeeze=False)), groups, strict=True
+        ):
+            names = [n if len(n) <= _NAME_LENGTH else f"... {n[4 - _NAME_LENGTH :]}" for n in group.names]
+            rows = np.arange(len(names))[::-1]
+            drawn = axes.barh(rows, group.values, color=_COLOURS[0], height=0.6)
+            axes.bar_label(drawn, fmt="%.2f", padding=3)
+            axes.set_yticks(rows, names)
+            axes.set_title(group.title, loc="left")
+            axes.margins(x=0.12)
+        axes.set_xlabel(label)
+        figure.savefig(path, format="svg", metadata={"Date": None})
+    return path

@@ -6,7 +6,7 @@ is fitted to both parts together and predicts the held-out part, which nothing e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +17,10 @@ import numpy as np
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import DataSplit
 from smajax.diagnosis.forward_selection import select_effects
+from smajax.diagnosis.plausibility import implausible_estimates
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
+from smajax.files.plausible_ranges import ImplausibleValue
 from smajax.files.rig_file import Rig
 from smajax.report.diagnosis_wording import rejection_text
 
@@ -33,12 +35,16 @@ class TraceResult:
             part.
         after: Those of the fit with effects.
         refit: The fit with effects.
+        growing: Those of the fits with one more of the accepted effects each, in their order, up to ``after``.
+        implausible: Estimates outside of what an alloy can have, of the fit without and of that with effects.
     """
 
     state: SelectionState
     before: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
     after: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
     refit: Refit
+    growing: tuple[tuple[dict[str, np.ndarray], dict[str, np.ndarray]], ...]
+    implausible: tuple[tuple[ImplausibleValue, ...], tuple[ImplausibleValue, ...]]
 
     def rmse(self, channel: str) -> tuple[float, float, float, float]:
         """Return the RMSE of a channel: fitted and held out without effects, fitted and held out with them."""
@@ -56,6 +62,7 @@ def trace_effects(
     starts: int,
     step: float | None = None,
     seed: int = 0,
+    candidates: Collection[str] | None = None,
 ) -> TraceResult:
     """Select effects, fit without and with them, and predict the held-out part.
 
@@ -67,14 +74,15 @@ def trace_effects(
         starts: Start points of the base fit.
         step: Largest time step, s.
         seed: Seed of the diagnosis.
+        candidates: Keys of the effects that are tried; by default all that the rig could have.
     """
     layout: dict[str, Any] = {"interpolation": rig.interpolation, "step": step}
-    problem = DiagnosisProblem(rig.plant, parts, rig.fit, **layout)
+    problem = DiagnosisProblem(rig.plant, parts, rig.fit, **layout, candidates=candidates)
     # The residual of a measured recording stays far above its noise, so that only the selection part decides.
     options = {"min_explained_fraction": 0.0, "min_score_gain": 0.0, "report_progress": say}
     _, state = select_effects(problem, seed=seed, starts=starts, **options)
     say("fitting to the training and the selection part together")
-    final_problem = DiagnosisProblem(rig.plant, [whole, parts[2]], rig.fit, **layout)
+    final_problem = DiagnosisProblem(rig.plant, [whole, parts[2]], rig.fit, **layout, candidates=candidates)
     final_problem.set_noise(problem.noise)
 
     def refit_best(effect_set: EffectSet, base: np.ndarray) -> Refit:
@@ -94,7 +102,12 @@ def trace_effects(
 
     before = refit_best(EffectSet(), state.base_fit.refit.base)
     after = refit_best(state.current.refit.effect_set, state.current.refit.base)
-    return TraceResult(state, residuals(before), residuals(after), after)
+    growing, effect_set = [residuals(after)] if state.accepted else [], after.effect_set
+    for key in reversed(state.accepted[1:]):
+        effect_set = effect_set.without(key)
+        growing.insert(0, residuals(refit_best(effect_set, after.base)))
+    implausible = implausible_estimates(final_problem, before), implausible_estimates(final_problem, after)
+    return TraceResult(state, residuals(before), residuals(after), after, tuple(growing), implausible)
 
 
 def effect_rows(result: TraceResult, prefix: str = "") -> list[Row]:
@@ -120,4 +133,7 @@ def effect_rows(result: TraceResult, prefix: str = "") -> list[Row]:
             None,
         )
     )
+    for what, values in zip(("without effects", "with effects"), result.implausible, strict=True):
+        text = " ".join(v.sentence for v in values) or "none"
+        rows.append(Row(f"{prefix}{what}: estimates outside of what an alloy can have", "-", text, None))
     return rows

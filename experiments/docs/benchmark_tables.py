@@ -4,8 +4,8 @@
 
 The files are written by experiments with ``--json``. A table goes between ``<!-- NAME -->`` and ``<!-- end -->`` on a
 page of docs/benchmarks, under the command that prints it. The pages get their numbers only from here. Of recordings by
-others only the rows with a target are inserted, and of estimates only those at a bound and those that the data cannot
-distinguish.
+others only the rows with a target are inserted, unless the document says that its table is whole, and of estimates only
+those at a bound and those that the data cannot distinguish.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ def block(document: dict[str, Any]) -> str:
     rows = [
         (row["what"], row["target"], row["measured"], MET[row["met"]])
         for row in document["rows"]
-        if row["met"] is not None or not (by_others or ESTIMATE.fullmatch(f"{row['what']}: {row['measured']}"))
+        if row["met"] is not None
+        or document.get("whole")
+        or not (by_others or ESTIMATE.fullmatch(f"{row['what']}: {row['measured']}"))
     ]
     options = document.get("words", "") + (" --quick" if document["quick"] else "")
     command = f"`python experiments/{document['experiment']}.py{options}`"

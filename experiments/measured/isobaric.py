@@ -30,7 +30,7 @@ import scipy.io
 
 from smajax import parameters
 from smajax.diagnosis.data_split import DataSplit
-from smajax.files.rig_file import parse_rig
+from smajax.files.rig_file import Rig, parse_rig
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import FitResult
 from smajax.recordings.recording import Recording
@@ -220,24 +220,29 @@ def hold_out(levels: dict[int, Recording], level: int, times: int) -> tuple[list
     return fits, residual - residual[hottest]
 
 
-def trace_residual(levels: dict[int, Recording], level: int) -> tuple[int, TraceResult]:
-    """Select effects with a level held out; return the level that selected, and the result."""
+def split_levels(levels: dict[int, Recording], level: int) -> tuple[int, tuple[DataSplit, ...], DataSplit, Rig]:
+    """Split the levels, with one held out and the one next to it selecting.
+
+    Returns:
+        The level that selects, training, selection and held-out part, the first two together, and the rig.
+    """
     others = [k for k in levels if k != level]
     select = min(others[1:-1] or others, key=lambda k: (abs(k - level), -k))
-    rig = parse_rig(rig_text([levels[k] for k in others]), "isobaric.toml")
 
     def make_part(*stresses: int) -> DataSplit:
         recordings = tuple(levels[k] for k in stresses)
         hottest = tuple(np.arange(len(r)) == np.argmax(r.channels["temperature"]) for r in recordings)
         return DataSplit(recordings, anchor=hottest)
 
-    return select, trace_effects(
-        rig,
-        [make_part(*(k for k in others if k != select)), make_part(select), make_part(level)],
-        make_part(*others),
-        say,
-        starts=4,
-    )
+    parts = (make_part(*(k for k in others if k != select)), make_part(select), make_part(level))
+    rig = parse_rig(rig_text([levels[k] for k in others]), "isobaric.toml")
+    return select, parts, make_part(*others), rig
+
+
+def trace_residual(levels: dict[int, Recording], level: int) -> tuple[int, TraceResult]:
+    """Select effects with a level held out; return the level that selected, and the result."""
+    select, parts, whole, rig = split_levels(levels, level)
+    return select, trace_effects(rig, parts, whole, say, starts=4)
 
 
 def repeat_nearest_level(levels: dict[int, Recording], level: int) -> tuple[int, float]:

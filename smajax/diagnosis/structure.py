@@ -31,6 +31,7 @@ from smajax.plant.effects.end_conduction import EndConduction
 from smajax.plant.effects.gradual_transformation import GradualTransformation
 from smajax.plant.effects.temperature_distribution import TemperatureDistribution
 from smajax.plant.grains import Grains
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
 
 # Cells along the wire and grains in each, a compromise between accuracy and cost. Chosen by trial;
@@ -119,7 +120,7 @@ def with_structure(plant: Plant) -> Plant:
     Args:
         plant: A plant without either.
     """
-    cells = None if plant.drive.control is None else Cells(count=CELLS)
+    cells = None if isinstance(plant.heat, PrescribedTemperature) else Cells(count=CELLS)
     spreads = (jnp.asarray(_START_SPREADS[0]),) * 2
     return dataclasses.replace(plant, cells=cells, grains=Grains(*spreads, count=GRAINS))
 

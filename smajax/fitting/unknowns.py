@@ -142,7 +142,7 @@ def bounds_of(plant: Plant, name: str, settings: Settings, free: Collection[str]
 
 
 def _state_value(plant: Plant, name: str, sample: Recording) -> float:
-    """Start value of a state that the plant derives from the first row of its inputs."""
+    """Start value of a state that the plant derives from the first row of its inputs: the mean of cells and grains."""
     names = (*plant.signals, *recorded_surroundings(plant, [sample]))
     first = jnp.asarray([sample.channels[c][0] if c in sample.channels else math.nan for c in names])
     state = plant.init(first)
@@ -151,4 +151,5 @@ def _state_value(plant: Plant, name: str, sample: Recording) -> float:
         "detwinned": state.fractions.detwinned,
         "twinned": state.fractions.twinned,
     }
-    return float(values[name.removeprefix("initial.")][0])
+    value = values[name.removeprefix("initial.")].reshape(-1, plant.mechanism.wires)
+    return float(jnp.mean(value[:, 0]))

@@ -15,6 +15,7 @@ RIG_CAPABILITIES: tuple[str, ...] = (
     "spring",  # the mechanism has one
     "drag",  # a stress can oppose the contraction (MechanismEffect.drag)
     "prescribed strain or stress",
+    "prescribed temperature",
 )
 
 # All words that ``Plant.capabilities`` can return: those above, the electrical input, the coordinate of the mechanism,

@@ -17,6 +17,7 @@ from smajax.plant.cells_and_grains import CLAMP
 from smajax.plant.drive import resistance
 from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect, WireState
 from smajax.plant.effects.hook_results import checked_result
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
 from smajax.plant.state import State
@@ -240,10 +241,10 @@ class Plant(StepSolver):
 
         The words are ``clock``; ``one wire`` or ``two wires``; ``spring`` if the mechanism has one; ``drag`` if a
         stress can oppose the contraction (``MechanismEffect.drag``); ``prescribed strain or stress`` of a testing
-        machine; the electrical input, such as ``current``; the coordinate of the mechanism, such as ``displacement``
-        or ``angle``; and ``CHANNEL observed`` for each observed channel, such as ``temperature observed``.
-        That of a recorded surrounding, such as ``fan observed``, counts likewise. ``smajax.effects.CAPABILITIES`` has
-        all of them.
+        machine; ``prescribed temperature``; the electrical input, such as ``current``; the coordinate of the
+        mechanism, such as ``displacement`` or ``angle``; and ``CHANNEL observed`` for each observed channel, such as
+        ``temperature observed``. That of a recorded surrounding, such as ``fan observed``, counts likewise.
+        ``smajax.effects.CAPABILITIES`` has all of them.
 
         Args:
             observed: Names of the channels that the recordings contain.
@@ -256,6 +257,7 @@ class Plant(StepSolver):
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
         words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
         words |= {"prescribed strain or stress"} if self.mechanism.prescribed else set()
+        words |= {"prescribed temperature"} if isinstance(self.heat, PrescribedTemperature) else set()
         no_drag = (
             self.mechanism.prescribed
             or self.mechanism.has_dry_friction

@@ -281,6 +281,8 @@ class PlantStages(CellsAndGrains):
             material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
             own = checked_result(e, "shift", self._each_cell(e.shift, first, context), first.temperature.shape, "wires")
             shift = own if shift is None else shift + own
+            if type(e).reverse_shift is not MaterialEffect.reverse_shift:
+                material = self._with_reverse_shift(e, material, first, context)
         temperatures = self._grain_temperatures(first.temperature), temperature
         if shift is not None:
             shift = self._for_grains(shift)
@@ -298,7 +300,24 @@ class PlantStages(CellsAndGrains):
             evolved = changed
         return evolved
 
+    def _with_reverse_shift(
+        self, effect: MaterialEffect, material: AbstractMaterial, first: WireState, context: StageContext
+    ) -> AbstractMaterial:
+        """The material law with austenite start and finish shifted by an effect."""
+        own = self._each_cell(effect.reverse_shift, first, context)
+        own = checked_result(effect, "reverse_shift", own, first.temperature.shape, "wires")
+        return eqx.tree_at(lambda law: law.austenite_shift, material, replace_fn=lambda shift: shift + own)
+
     # Heat.
+
+    def _specimen_temperature(self, prescribed: dict[str, Any], memory: dict[str, Any]) -> Float[Array, "*cells wires"]:
+        """The prescribed temperature of the wires at the end of a step, with the effects' memory at its start."""
+        temperature = jnp.broadcast_to(prescribed["temperature"], self.temperature_shape)
+        for e in self._effects_of(HeatEffect):
+            if type(e).specimen_offset is not HeatEffect.specimen_offset:
+                offset = self._each_cell(e.specimen_offset, memory[e.key])
+                temperature = temperature + jnp.broadcast_to(offset, temperature.shape)
+        return temperature
 
     def _heat_capacity(self, martensite: Float[Array, "*cells wires"]) -> Float[Array, "*cells wires"]:
         base = self.heat.capacity(martensite)

@@ -123,7 +123,7 @@ class StepEquations(PlantStages):
         """
         temperature = end[: self.temperatures].reshape(self.temperature_shape)
         if "temperature" in prescribed:
-            temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
+            temperature = self._specimen_temperature(prescribed, state.memory)
         stress = self.mechanism.stress(unknown, prescribed, self._mechanism_context())
         if self._has_drag:
             stress = self.mechanism.with_drag(stress, end[-1])

@@ -80,7 +80,7 @@ class StepSolver(StepEquations):
     ) -> Float[Array, "*cells wires"]:
         """First guess of the temperature at the end of a step: an explicit Euler step."""
         if isinstance(self.heat, PrescribedTemperature):
-            return jnp.broadcast_to(self._prescribed_channels(after)["temperature"], state.temperature.shape)
+            return self._specimen_temperature(self._prescribed_channels(after), state.memory)
         martensite = self._mean_over_grains(state.fractions).martensite
         return state.temperature + step * rate / self._heat_capacity(martensite)
 

@@ -202,6 +202,17 @@ class HeatEffect(AbstractEffect):
         """
         return jnp.zeros_like(martensite)
 
+    def specimen_offset(self, memory: Any) -> Float[Array, "..."]:
+        """Compute how far the wires are above a prescribed temperature, in K; called only where it is prescribed.
+
+        Args:
+            memory: The effect's memory at the start of a step; the offset is that at its end.
+
+        Returns:
+            The offset, shape ``(wires,)`` or a scalar.
+        """
+        return jnp.zeros(())
+
     def enthalpy(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat stored in addition to capacity times temperature, in J/m^3: a function of the state only.
 
@@ -262,6 +273,15 @@ class MaterialEffect(AbstractEffect):
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the shift of all four transformation temperatures in K.
+
+        Args:
+            state: The wires at the start of a step.
+            context: Other parts of the plant.
+        """
+        return jnp.zeros_like(state.temperature)
+
+    def reverse_shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
+        """Compute the shift of austenite start and finish alone, in K, in addition to that of ``shift``.
 
         Args:
             state: The wires at the start of a step.

@@ -32,9 +32,11 @@ from smajax.diagnosis.structure import (
 )
 from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
+from smajax.recordings.datasets import data_path
 from smajax.report.diagnosis import diagnosis_document
 from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.diagnosis_series import prediction_series
+from smajax.simulation.run import simulate
 from tests.unit.diagnosis.test_support import fit_of
 
 
@@ -160,3 +162,14 @@ def test_document_and_page_have_structure_and_budget(rough, diagnosis):
     run = {"inputs": ["current"], "argv": [], "started": "", "machine": "", "versions": {}, "timings": {}}
     page = diagnosis_page(document, prediction_series(recordings, diagnosis), run, "")
     assert "Error budget of displacement" in page and '"waterfall"' in page.replace(" ", "")
+
+
+def test_a_wire_of_prescribed_temperature_gets_grains_and_no_cells():
+    """Its temperature is an input, the same all along the wire; with cells the simulation would fail."""
+    folder = data_path("recordings", "isobaric")
+    rig = read_rig(folder / "rig.toml")
+    plant = with_structure(rig.plant)
+    assert plant.cells is None
+    assert plant.grains is not None and plant.grains.count == GRAINS
+    strain = simulate(plant, rig.read(folder / "train.csv")).channels["strain"]
+    assert np.all(np.isfinite(np.asarray(strain)))

@@ -24,6 +24,8 @@ from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.profile import crossing, profile_labels, profile_likelihood
 from smajax.fitting.responses import simulate_responses, start_responses
+from smajax.plant.cells import Cells
+from smajax.plant.grains import Grains
 from smajax.report.prediction import recording_series
 from smajax.simulation.status import SimulationStatus
 from tests.reference import rigs
@@ -402,6 +404,19 @@ def test_free_initial_temperature_is_found():
     value = next(e for e in result.estimates if e.name.startswith("initial.temperature"))
     assert value.estimate == pytest.approx(45.0, abs=1.0)
     assert result.plant.initial.temperature is None
+
+
+@pytest.mark.parametrize(
+    ("cells", "grains"), [(Cells(count=5), None), (None, Grains(count=3)), (Cells(count=5), Grains(count=3))]
+)
+def test_a_free_initial_state_of_a_wire_with_cells_or_grains_starts_at_that_of_the_plant(cells, grains):
+    plant = dataclasses.replace(plants.dead_weight(), cells=cells, grains=grains)
+    settings = Settings(free=("material.max_transformation_strain",), initial=("temperature", "detwinned"))
+    nominal = {
+        u.name: u.nominal for u in build_problem(plant, [recorded(TRUTH, rows=60)], settings, step=0.04).unknowns
+    }
+    assert nominal["initial.temperature"] == pytest.approx(float(plant.environment.ambient))
+    assert 0.0 <= nominal["initial.detwinned"] <= 1.0
 
 
 def test_fits_repeat_and_scaling_of_noise_changes_nothing():

@@ -80,6 +80,8 @@ KEYS = [
     "heating-roundness",
     "stress-ratcheting",
     "two-slope-elasticity",
+    "hysteresis-widening",
+    "specimen-lag",
     "gradual-transformation",
     "creep",
     "temperature-distribution",

@@ -13,6 +13,7 @@ from smajax import parameters
 from smajax.errors import DerivativeError, InputError
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.plant.effects import Quantisation
+from smajax.plant.effects.specimen_lag import SpecimenLag
 from smajax.plant.materials import Lagoudas
 from smajax.plant.materials.base import Fractions
 from smajax.plant.mechanisms import AbstractMechanism, DeadWeight, Joint, Link, Load, Pulley
@@ -279,6 +280,7 @@ def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
         (lambda: with_effect("viscous-friction", "1 MPa s"), "the effect 'viscous-friction' has a drag"),
         (lambda: with_part(effects=(Quantisation(0.01),)), "the effect 'quantisation' has rounded readings"),
         (lambda: with_effect("slip", "1 %"), "the effect 'slip' has a memory of the highest stress"),
+        (lambda: with_part(effects=(SpecimenLag(1.0),)), "the effect 'specimen-lag' has a thermometer that lags"),
         (lambda: with_part(mechanism=Moving(load=Load(0.2))), "the mechanism has a state of motion whose rates"),
     ],
 )
