@@ -69,22 +69,24 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     structured = CandidateEvaluator(problem, evaluator.seed)
     first = problem.fit(EffectSet(), problem.nominal, max_steps=1)
     structured.base_refit(first.base, first.status)
-    fit = fit_with_structure(structured, _allowed_effects(problem, state.current.refit.effect_set), state.current)
-    fits = [fit]
+    facts = _allowed_effects(problem, state.current.refit.effect_set)
+    # On one cell and one grain, effects may absorb what the structure explains: it is fitted without them, too.
+    sets = [EffectSet(), facts] if facts.keys else [EffectSet()]
+    fits = [fit_with_structure(structured, effects, state.current) for effects in sets]
+    base = fits[0]
     if not state.accepted:
         report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
-        fits += successive_halving(structured, *_candidates(structured, fit, state))
+        fits += successive_halving(structured, *_candidates(structured, base, state))
     evaluator.problem.count_simulations(problem.simulations)
-    if not any(_improves(evaluator, state.current, f, structured) for f in fits):
+    if not any(_replaces(evaluator, state, structured, f) for f in fits):
         return evaluator, state, UNIFORM
-    base = refit(structured, fit, EffectSet()) if fit.keys else fit
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
     )
     inner.stage_shares, inner.ranking = state.stage_shares, state.ranking
     _add_effects(structured, inner, [f for f in fits if f.keys])
     judge_effects(structured, inner)
-    if not clearly_better(evaluator, state.current, structured, inner.current):
+    if not _replaces(evaluator, state, structured, inner.current):
         return evaluator, state, UNIFORM
     report_progress("comparing cells alone, grains alone, both, and neither")
     structure, chosen, fit = compare_variants(structured, inner.current)
@@ -103,11 +105,21 @@ def _allowed_effects(problem: DiagnosisProblem, effect_set: EffectSet) -> Effect
     return effect_set
 
 
-def _improves(
-    evaluator: CandidateEvaluator, without: CandidateFit, fit: CandidateFit, structured: CandidateEvaluator
+def _replaces(
+    evaluator: CandidateEvaluator, state: SelectionState, structured: CandidateEvaluator, fit: CandidateFit
 ) -> bool:
-    """Whether the structure fits the training split better, and predicts the selection split better."""
-    return fit.train_chi2 < without.train_chi2 and clearly_better(evaluator, without, structured, fit)
+    """Whether a fit with the structure takes the place of the one without.
+
+    It fits the training split better and predicts clearly better; or it has fewer effects, predicts clearly better than
+    the rig without effects, and not clearly worse than with them. Every wire has ends and grains, so that effects which
+    explain no more than these are not needed.
+    """
+    current = state.current
+    if fit.train_chi2 < current.train_chi2 and clearly_better(evaluator, current, structured, fit):
+        return True
+    if len(fit.keys) >= len(current.keys) or clearly_better(structured, fit, evaluator, current):
+        return False
+    return clearly_better(evaluator, state.base_fit, structured, fit)
 
 
 def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: list[CandidateFit]) -> None:
