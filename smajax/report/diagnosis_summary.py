@@ -201,7 +201,7 @@ def _verdict_sentence(doc: Document) -> str:
     if doc["verdict"] == "partial":
         return f"More than noise remains; the residual looks most like another effect in the {stage} stage."
     if doc["verdict"] == "unresolved" and (doc.get("law") or {}).get("cause") == "law":
-        return ""  # said by the sentence about the law
+        return ""  # the first sentence is about the law
     if doc["verdict"] == "unresolved" and stage is None and doc.get("interrupted"):
         return "Something is missing that no effect explains so far."
     if doc["verdict"] == "unresolved" and stage is None:
