@@ -299,7 +299,9 @@ def structured_plant(plant: Plant, structure: Structure) -> Plant:
         return plant
     if plant.grains is not None:
         grains, material = plant.grains.with_whole_width(plant.material)
-        plant = dataclasses.replace(plant, grains=grains, material=material)
+        # Critical stresses near 0 may become negative, which no rig file has: then the factors stay.
+        if all(d.lower <= float(getattr(material, key)) <= d.upper for key, d in declarations(material).items()):
+            plant = dataclasses.replace(plant, grains=grains, material=material)
     cells = plant.cells if structure.cells > 1 else None
     grains = plant.grains if structure.grains > 1 else None
     return dataclasses.replace(plant, cells=cells, grains=grains)
