@@ -23,10 +23,12 @@ from smajax.diagnosis.structure import (
     SPREADS,
     VARIANTS,
     WIDTHS,
+    Structure,
     candidate_keys,
     held_values,
     holding,
     may_have_structure,
+    structured_plant,
     structured_problem,
     with_structure,
 )
@@ -37,6 +39,7 @@ from smajax.report.diagnosis import diagnosis_document
 from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.diagnosis_series import prediction_series
 from smajax.simulation.run import simulate
+from tests.support import plants
 from tests.unit.diagnosis.test_support import fit_of
 
 
@@ -127,6 +130,15 @@ def test_a_rough_rig_needs_a_structure_and_nothing_else(rough, diagnosis):
         found.plant.grains is None,
     )
     assert set(SPREADS) <= set(again.fit.free)
+
+
+@pytest.mark.parametrize(("start", "width"), [(25e6, 1.0), (0.0, 1.3)])
+def test_factors_on_widths_stay_where_the_law_would_leave_its_bounds(start, width):
+    plant = with_structure(plants.dead_weight(detwinning_start_stress=start))
+    plant = parameters.replace(plant, {"grains.martensite_width": 1.3})
+    found = structured_plant(plant, Structure("grains", 1, GRAINS, {"neither": 9.0, "grains": 1.0}))
+    assert float(parameters.get(found, "grains.martensite_width")) == pytest.approx(width)
+    assert float(parameters.get(found, "material.detwinning_start_stress")) >= 0.0 and found.cells is None
 
 
 def test_error_budget_goes_from_a_naive_forecast_to_the_last_fit(rough, diagnosis):
