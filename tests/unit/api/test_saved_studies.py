@@ -98,7 +98,7 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
     place = {"diagnose": "smajax.app.commands.diagnose.diagnose", "tune": "smajax.api.tune.tune"}[command]
     monkeypatch.setattr(place, function)
     words = {
-        "diagnose": ["rig.toml", "a.csv", "--select", "b.csv", "--holdout", "c.csv", "--start", "fit.toml"],
+        "diagnose": ["rig.toml", "a.csv", "--select", "b.csv", "--holdout", "c.csv", "--start", "fit.toml", "--laws"],
         "tune": ["rig.toml", "controller.toml"],
     }[command]
     out = tmp_path / "command"
@@ -112,6 +112,7 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
                 "holdout": Path("c.csv"),
                 "start": Path("fit.toml"),
                 "seed": 3,
+                "laws": True,
             },
         ),
         "tune": ((Path("rig.toml"), Path("controller.toml")), {"seed": 3}),
