@@ -33,7 +33,7 @@ from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.plant import Plant
 
 # Least relative fall of the error on the selection split by which one law is better than another: about twice the 5 %
-# that an effect needs (``acceptance.MIN_SELECT_CUT``), since a law brings parameters of its own.
+# that an effect needs (``acceptance.MIN_SELECT_CUT``), since a law adds parameters.
 MIN_LAW_CUT = 0.1
 # Relative fall of the cost at which the search of another law ends, and its largest number of steps: a right law ends
 # at the noise after fewer. Chosen by trial; experiments/diagnosis/other_laws.py prints how many laws are recognised.
