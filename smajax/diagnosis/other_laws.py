@@ -28,11 +28,10 @@ from smajax.fitting import abstract_problem
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.material_laws import law_name, with_law
 from smajax.fitting.multi_start import MultiStartSolver
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.plant import Plant
 
-# Least relative fall of the error on the selection split by which one law is better than another: about twice the 5 %
+# Least relative fall of the error on the selection split by which one law is better than another: twice the 5 %
 # that an effect needs (``acceptance.MIN_SELECT_CUT``), since a law adds parameters.
 MIN_LAW_CUT = 0.1
 # Relative fall of the cost at which the search of another law ends, and its largest number of steps: a right law ends
@@ -41,7 +40,6 @@ _RTOL = 1e-6
 _STEPS = 50
 
 Cause = Literal["none", "law", "effect", "either", "part"]
-_predict = jit_with_kernels(abstract_problem.residual)
 
 
 class LawFit(NamedTuple):
@@ -191,5 +189,5 @@ def _fit_law(problem: DiagnosisProblem, base: CandidateFit, name: str) -> LawFit
     plant = parameters.replace(plant, {n: float(v) for n, v in train.values(point)[0].items()})
     if result.statuses[0] is SolverStatus.failed:
         return LawFit(name, math.inf, np.full(1, math.nan), plant)
-    residual = splits.counted_samples(np.asarray(_predict(point, select)), SELECT)
+    residual = splits.counted_samples(np.asarray(abstract_problem.compiled_residual(point, select)), SELECT)
     return LawFit(name, _error(residual), residual, plant)

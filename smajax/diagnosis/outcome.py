@@ -26,7 +26,7 @@ from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.result import Conclusion, Diagnosis, summarise
 from smajax.diagnosis.selection_state import SelectionState
-from smajax.diagnosis.structure import ASK_FROM, UNIFORM, Structure
+from smajax.diagnosis.structure import ASK_FROM, UNIFORM, Structure, leaves_more_than_noise
 from smajax.diagnosis.structured_selection import select_with_structure
 from smajax.diagnosis.support import judge_effects
 from smajax.diagnosis.verdict import classify_outcome
@@ -79,7 +79,7 @@ def diagnose(
     """
     rig, without = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
     others, law = OtherLaws(rig, without.base_fit), None
-    if not problem.own_count and (laws or _leaves_more_than_noise(without)):
+    if not problem.own_count and (laws or leaves_more_than_noise(without)):
         law = _compared_laws(others, rig, without, report_progress)
     explained = law is not None and law.cause == "law" and law.best_error**2 < ASK_FROM
     evaluator, state, structure = select_with_structure(rig, without, stoppable(report_progress), may_ask=not explained)
@@ -130,11 +130,6 @@ def _compared_laws(
     except KeyboardInterrupt:  # the effects are a result without it
         state.interrupted = True
         return None
-
-
-def _leaves_more_than_noise(state: SelectionState) -> bool:
-    """Whether the accepted effects leave so much of training or selection split that structure or law are asked for."""
-    return max(state.current.train_chi2, state.current.select_chi2) >= ASK_FROM
 
 
 class _Found(NamedTuple):

@@ -94,6 +94,15 @@ class Structure(NamedTuple):
 UNIFORM = Structure()
 
 
+def leaves_more_than_noise(state: SelectionState) -> bool:
+    """Return whether the accepted effects leave so much that the structure and the law of the rig are in question.
+
+    Args:
+        state: The state at the end of a forward selection.
+    """
+    return max(state.current.train_chi2, state.current.select_chi2) >= ASK_FROM
+
+
 def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool:
     """Return whether a diagnosis has to decide on the structure of the wire.
 
@@ -107,7 +116,7 @@ def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool
     plant = problem.base_problem.plant
     if plant.cells is not None or plant.grains is not None or problem.own_count or state.interrupted:
         return False
-    if max(state.current.train_chi2, state.current.select_chi2) < ASK_FROM:
+    if not leaves_more_than_noise(state):
         return False
     recordings = [r for split in problem.splits for r in split.recordings]
     _, memory = diagnosis_memory(with_structure(plant), recordings, **problem.grid_options)

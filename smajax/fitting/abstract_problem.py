@@ -60,6 +60,9 @@ def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[A
     return problem.residual(vector)
 
 
+compiled_residual = jit_with_kernels(residual, compiler_options=SEARCH_OPTIONS)
+
+
 @functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
 def costs(problem: AbstractFitProblem, vectors: Float[Array, "m p"]) -> Float[Array, " m"]:
     """Compute the sums of squares of the residual at several vectors, as one batch.

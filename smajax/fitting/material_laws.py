@@ -1,4 +1,4 @@
-"""Another material law in a plant, in place of its own, with the settings of a fit."""
+"""Replacement of the material law of a plant, with the settings of its fit."""
 
 import dataclasses
 from typing import Any

@@ -16,7 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from smajax.errors import Cancelled, NumericsError
-from smajax.fitting.abstract_problem import costs, residual
+from smajax.fitting.abstract_problem import compiled_residual, costs, residual
 from smajax.fitting.bounds import parameters_at_bounds, parameters_near_bounds
 from smajax.fitting.compilation import SEARCH_OPTIONS
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
@@ -157,7 +157,6 @@ class IOModelFit:
 
 
 _respond = jit_with_kernels(response.compute_response, compiler_options=SEARCH_OPTIONS)
-_weighted_residual = jit_with_kernels(residual, compiler_options=SEARCH_OPTIONS)
 
 
 class _SearchEnd(NamedTuple):
@@ -265,7 +264,7 @@ def _fit_at(
 ) -> IOModelFit:
     """The fit at the end of a search, without its wall time."""
     vector: Any = end.vector
-    weighted = np.asarray(_weighted_residual(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
+    weighted = np.asarray(compiled_residual(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
     flat = problem.lower + jnp.asarray(vector) * problem.width
     maker: Any = problem.make
     half_widths, held = None, _held_parameters(problem, end)
