@@ -2,6 +2,7 @@
 
 import abc
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -60,7 +61,10 @@ def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[A
     return problem.residual(vector)
 
 
-compiled_residual = jit_with_kernels(residual, compiler_options=SEARCH_OPTIONS)
+compiled_residual: Callable[[Float[Array, " p"], AbstractFitProblem], Float[Array, " size"]] = jit_with_kernels(
+    residual, compiler_options=SEARCH_OPTIONS
+)
+"""``residual``, compiled with the options of the searches' programs."""
 
 
 @functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
