@@ -16,6 +16,9 @@ from smajax.diagnosis.structure import APPROXIMATIONS, SPREADS, with_structure
 from smajax.files.rig_file import Rig
 from smajax.plant.effects import catalogue
 
+# Cells along a wire and grains in each: fewer than in a diagnosis, since fits start from several points.
+CELLS, GRAINS = 7, 5
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -101,7 +104,7 @@ class Subject:
 def with_grains(rig: Rig) -> Rig:
     """Return a rig with grains, the spreads of whose transformation temperatures are free."""
     free = (*rig.fit.free, *SPREADS)
-    return dataclasses.replace(rig, plant=with_structure(rig.plant), fit=dataclasses.replace(rig.fit, free=free))
+    return dataclasses.replace(rig, plant=with_structure(rig.plant, CELLS, GRAINS), fit=dataclasses.replace(rig.fit, free=free))
 
 
 def path_budget(subject: Subject, starts: int) -> tuple[Budget, list[Row]]:

@@ -33,7 +33,7 @@ from experiments.common.arm_fit import ArmFitter
 from experiments.common.arm_log import read_logs, repeat_first_pulse
 from experiments.common.arm_model import rms as arm_rms
 from experiments.common.base import DATA, Row, arguments, finish, refuse, say
-from experiments.common.budgets import Budget, Entry, Subject, path_budget
+from experiments.common.budgets import CELLS, GRAINS, Budget, Entry, Subject, path_budget
 from experiments.common.charts import Bars, draw_bars
 from experiments.common.effect_fit import EffectFit, EffectFitter
 from experiments.common.forecasts import last_cycle
@@ -43,7 +43,7 @@ from experiments.measured import bu_softlimb, cyclic, guarneros, isobaric, super
 import numpy as np
 
 from smajax.diagnosis.data_split import DataSplit
-from smajax.diagnosis.structure import CELLS, GRAINS, SPREADS
+from smajax.diagnosis.structure import SPREADS
 from smajax.files.rig_file import parse_rig
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording

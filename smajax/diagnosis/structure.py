@@ -36,8 +36,8 @@ from smajax.plant.plant import Plant
 
 # Cells along the wire and grains in each, a compromise between accuracy and cost. Chosen by trial;
 # experiments/speed/cells_and_grains.py prints both.
-CELLS = 7
-GRAINS = 5
+CELLS = 9
+GRAINS = 6
 # The variants of the structure, the simplest first, and the effects that stand for each in a list of effects.
 VARIANTS: Mapping[str, tuple[str, ...]] = {
     "neither": (),
@@ -50,8 +50,13 @@ APPROXIMATIONS = (EndConduction.key, TemperatureDistribution.key, GradualTransfo
 SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
 # A full cycle shows the width of the whole wire's transformation alone, which a rig file may have from a data sheet.
 WIDTHS = ("grains.austenite_width", "grains.martensite_width")
-# Conductivity along the wire of the variant without cells, W/m/K: the lower bound of the parameter.
-_INSULATING = {"cells.conductivity": declarations(Cells)["conductivity"].lower}
+# Convection differs along every wire by a few per cent, which shifts the temperatures of cells by as much of their rise
+# above the ambient. Starts of the searches, both signs, and bounds within which they stay. Chosen by trial.
+UNEVEN = "cells.uneven_convection"
+_START_UNEVEN = (0.01, -0.01)
+_LARGEST_UNEVEN = 0.1
+# Parameters of the variants without cells: the lower bound of the conductivity along the wire, W/m/K, and even cooling.
+_WITHOUT_CELLS = {"cells.conductivity": declarations(Cells)["conductivity"].lower, UNEVEN: 0.0}
 # Reduced chi-squared of training or selection split from which on the structure is fitted: 1.5 times the noise.
 # Chosen by trial.
 ASK_FROM = 2.25
@@ -123,15 +128,17 @@ def may_have_structure(problem: DiagnosisProblem, state: SelectionState) -> bool
     return memory < free_memory()
 
 
-def with_structure(plant: Plant) -> Plant:
+def with_structure(plant: Plant, cells: int = CELLS, grains: int = GRAINS) -> Plant:
     """Return a plant with cells, unless its temperature is prescribed, and grains.
 
     Args:
         plant: A plant without either.
+        cells: Number of cells.
+        grains: Number of grains in each.
     """
-    cells = None if isinstance(plant.heat, PrescribedTemperature) else Cells(count=CELLS)
+    along = None if isinstance(plant.heat, PrescribedTemperature) else Cells(count=cells)
     spreads = (jnp.asarray(_START_SPREADS[0]),) * 2
-    return dataclasses.replace(plant, cells=cells, grains=Grains(*spreads, count=GRAINS))
+    return dataclasses.replace(plant, cells=along, grains=Grains(*spreads, count=grains))
 
 
 def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
@@ -141,13 +148,18 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
         problem: The problem without structure.
         state: The state at the end of its forward selection, whose best effects are the candidates.
     """
-    free = (*problem.settings.free, *SPREADS, *WIDTHS)
-    settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     plant = with_structure(problem.base_problem.plant)
+    free = (*problem.settings.free, *SPREADS, *WIDTHS, *((UNEVEN,) if plant.cells is not None else ()))
+    settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     structured = DiagnosisProblem(
         plant, problem.splits, settings, **problem.grid_options, candidates=candidate_keys(state)
     )
     structured.set_noise(problem.noise)
+    lower, upper = (side.copy() for side in structured.bounds)
+    for i, unknown in enumerate(structured.problems[TRAIN].unknowns):
+        if unknown.name == UNEVEN:
+            lower[i], upper[i] = (side / unknown.scale for side in (-_LARGEST_UNEVEN, _LARGEST_UNEVEN))
+    structured.bounds = (lower, upper)
     return structured
 
 
@@ -199,22 +211,30 @@ def held_values(variant: str, has_cells: bool) -> dict[str, float]:
     """
     one_grain = dict.fromkeys(SPREADS, 0.0) | dict.fromkeys(WIDTHS, 1.0)
     values = one_grain if variant in ("neither", "cells") else {}
-    return values | (_INSULATING if has_cells and variant in ("neither", "grains") else {})
+    return values | (_WITHOUT_CELLS if has_cells and variant in ("neither", "grains") else {})
 
 
-def fit_with_structure(evaluator: CandidateEvaluator, effect_set: EffectSet, without: CandidateFit) -> CandidateFit:
+def fit_with_structure(
+    evaluator: CandidateEvaluator, effect_set: EffectSet, without: CandidateFit, first: CandidateFit | None = None
+) -> CandidateFit:
     """Fit a set of effects together with the structure, from several positive starts.
 
     Args:
         evaluator: The evaluator of the problem with structure.
         effect_set: The effects, with start values of their parameters.
-        without: The fit without structure; the values of the grains follow its parameters in the base vector.
+        without: The fit without structure; the values of the structure follow its parameters in the base vector.
+        first: A fit with structure and other effects, from which this one starts, too; by default from the values of the
+            rig.
 
     Returns:
         The best fit to the training split.
     """
     problem, base = evaluator.problem, without.refit.base
-    starts = [problem.nominal, *(np.append(base, _grain_values(problem, spread)) for spread in _START_SPREADS)]
+    near = [
+        np.append(base, _structure_values(problem, spread, uneven))
+        for spread, uneven in zip(_START_SPREADS, _START_UNEVEN, strict=True)
+    ]
+    starts = [problem.nominal, *near] if first is None else [first.refit.base, near[0]]
     stride = evaluator.stride(without.train_chi2)
     free = tuple(problem.free_effect_parameters(effect_set))
     searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
@@ -235,9 +255,9 @@ def refit(evaluator: CandidateEvaluator, fit: CandidateFit, effect_set: EffectSe
     return evaluator.evaluate(evaluator.fit(effect_set, start, stride, max_steps=_STEPS, rtol=_RTOL))
 
 
-def _grain_values(problem: DiagnosisProblem, spread: float) -> np.ndarray:
-    """Entries of both spreads and both widths in the base vector."""
-    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0)
+def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -> np.ndarray:
+    """Entries of both spreads, both widths, and of the uneven convection in the base vector."""
+    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | {UNEVEN: uneven}
     return np.array([values[u.name] / u.scale for u in problem.problems[TRAIN].unknowns if u.name in values])
 
 

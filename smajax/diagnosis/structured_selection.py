@@ -71,9 +71,8 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     structured.base_refit(first.base, first.status)
     facts = _allowed_effects(problem, state.current.refit.effect_set)
     # On one cell and one grain, effects may absorb what the structure explains: it is fitted without them, too.
-    sets = [EffectSet(), facts] if facts.keys else [EffectSet()]
-    fits = [fit_with_structure(structured, effects, state.current) for effects in sets]
-    base = fits[0]
+    base = fit_with_structure(structured, EffectSet(), state.current)
+    fits = [base, *([fit_with_structure(structured, facts, state.current, base)] if facts.keys else [])]
     if not state.accepted:
         report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
         fits += successive_halving(structured, *_candidates(structured, base, state))

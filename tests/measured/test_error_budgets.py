@@ -5,14 +5,14 @@ import json
 import math
 
 from experiments.common.base import Row
-from experiments.common.budgets import Budget, Entry, with_grains
+from experiments.common.budgets import CELLS, GRAINS, Budget, Entry, with_grains
 from experiments.common.charts import draw_bars
 from experiments.docs.benchmark_tables import block
 from experiments.measured.error_budgets import bars, guarneros_text, read_budgets
 
 import pytest
 
-from smajax.diagnosis.structure import CELLS, GRAINS, SPREADS
+from smajax.diagnosis.structure import SPREADS
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.recordings.datasets import data_path
 

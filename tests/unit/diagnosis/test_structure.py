@@ -21,6 +21,7 @@ from smajax.diagnosis.structure import (
     CELLS,
     GRAINS,
     SPREADS,
+    UNEVEN,
     VARIANTS,
     WIDTHS,
     Structure,
@@ -103,11 +104,12 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
         lower, upper = held.bounds
         names = [unknown.name for unknown in held.problems[TRAIN].unknowns]
         fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
-        assert fixed == ({*SPREADS, *WIDTHS} if variant in ("neither", "cells") else set())
+        one_grain = {*SPREADS, *WIDTHS} if variant in ("neither", "cells") else set()
+        assert fixed == one_grain | ({UNEVEN} if variant in ("neither", "grains") else set())
         difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
         differences[variant] = np.sqrt(np.mean(difference**2)) / size
     # Near 0: the insulating wire has a conductivity of 1e-3 W/m/K.
-    assert differences["neither"] < 1e-2 * differences["cells"]
+    assert differences["neither"] < 2e-2 * differences["cells"]
     assert min(differences[v] for v in ("cells", "grains", "both")) > 0.02
     assert all(low < high for low, high in zip(*structured.bounds, strict=True))
 
