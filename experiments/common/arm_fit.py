@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from experiments.common.arm_effects import ARM_EFFECTS
 from experiments.common.arm_log import Log
 from experiments.common.arm_model import LEVER, RIG, Model, linearise, rms, split_log
+from experiments.common.arm_priors import CONSTANT, PRIORS, SPREAD
 from experiments.common.base import say
 from experiments.common.effect_fit import predict
 
@@ -23,55 +24,11 @@ from smajax.recordings.recording import Recording
 
 STEP = 2.0  # s; longest step of a simulation, in the tail of a pulse
 START_DEVIATION = 0.8  # standard deviation of drawn start points, in those of the prior
-HOP_DEVIATION = 0.3  # the same of points around the best fit
+HOP_DEVIATIONS = 0.1, 0.3  # the same of points around the best fit, in turn
+CONTINUED_SHARE = 4  # of so many fits with wide priors one is continued
 FIRST_DAMPING, LAST_DAMPING = 1e-2, 1e6  # at which a fit begins, and at which it ends where no step gains
 RELATIVE_TOLERANCE = 1e-5  # of the cost, which a step has to gain
 FAILED = 1e3  # residual that stands for one that is not finite
-
-
-@dataclasses.dataclass(frozen=True)
-class Prior:
-    """Gaussian prior of a parameter, in internal units.
-
-    Attributes:
-        mean: Its mean.
-        deviation: Its standard deviation.
-        is_own: Whether each log has its own value. The values of other parameters scatter about one that the wires
-            share, by ``SPREAD`` of the standard deviation.
-    """
-
-    mean: float
-    deviation: float
-    is_own: bool = False
-
-
-SPREAD = 0.2  # of the prior's standard deviation: the wires are of one make and in one arm
-# From data sheets of such wires; drive and convection are known to within a factor only. Temperatures in degC.
-PRIORS = {
-    "drive.supply": Prior(2.5, 0.5),
-    "heat.h0": Prior(60.0, 30.0),
-    "environment.ambient": Prior(22.0, 0.3, is_own=True),  # about the first reading; all is at rest then
-    "initial.temperature": Prior(22.0, 0.3, is_own=True),  # the same
-    "material.austenite_shift": Prior(0.0, 10.0),
-    "material.austenite_finish": Prior(100.0, 15.0),
-    "material.martensite_start": Prior(60.0, 15.0),
-    "material.detwinning_finish_stress": Prior(1e8, 4e7),
-    "material.max_transformation_strain": Prior(0.015, 0.005, is_own=True),  # with the lever of each wire
-    "sensor.displacement_offset": Prior(0.0, 1e-4, is_own=True),
-    "effects.grains.width": Prior(8.0, 6.0),
-    "effects.grains.latent_heat": Prior(1.2e8, 1.8e8),
-    "effects.grains.creep": Prior(0.003, 0.004),
-    "effects.grains.creep_time": Prior(10.0, 10.0),
-    "effects.coating.strength": Prior(2.0, 1.5),
-    "effects.coating.time_constant": Prior(4.0, 3.0),
-    "effects.body-heat.strength": Prior(0.3, 0.3),
-    "effects.body-heat.time_constant": Prior(100.0, 100.0),
-    "effects.thermocouple-contact.strength": Prior(1.5, 1.5, is_own=True),
-    "effects.thermocouple-contact.silicone_share": Prior(0.2, 0.3),
-    "effects.thermocouple-contact.silicone_time": Prior(4.0, 3.0),
-    "effects.rest-offset.strength": Prior(0.0, 1.5e-4, is_own=True),
-}
-CONSTANT = {"effects.grains.strength": 1.0}  # parameters that are not fitted where their effect is in the model
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,6 +90,9 @@ class ArmFitter:
     ) -> list[ArmFit]:
         """Fit a part of all logs from several points, and again from points around the best one.
 
+        Where a prior has a wide first stage, all start points are fitted with that, and the best of these fits are
+        start points of the problem that counts.
+
         Args:
             role: Role of the recordings, a key of ``split_log``.
             without: Keys of effects that are left out.
@@ -142,20 +102,37 @@ class ArmFitter:
             before: A fit at which the only start point lies instead.
 
         Returns:
-            The fits, the best first.
+            The fits of the problem that counts, the best first.
         """
         joint, random = JointProblem(self, role, without), np.random.default_rng(1)
-        points = [joint.point(before.values)] if before is not None else joint.draw_starts(starts)
+        if before is not None:
+            points = [joint.point(before.values)]
+        elif joint.has_first_stage:
+            points = self._first_stage(role, without, starts, steps, joint)
+        else:
+            points = joint.draw_starts(starts)
         fits = [joint.solve(point, steps) for point in points]
         best = min(fits, key=lambda f: f.cost)
         say(f"{role}: cost {best.cost:.1f} is the lowest of {len(fits)}")
-        for _ in range(hops):
-            point = joint.point(best.values) + HOP_DEVIATION * random.standard_normal(joint.size)
-            fits.append(joint.solve(point, steps))
+        for k in range(hops):
+            deviation = HOP_DEVIATIONS[k % len(HOP_DEVIATIONS)]
+            fits.append(joint.solve(joint.point(best.values) + deviation * random.standard_normal(joint.size), steps))
             best = min(best, fits[-1], key=lambda f: f.cost)
         if hops:
+            again = joint.solve(joint.point(best.values), steps)  # with little damping: a corner may have stopped it
+            fits = [again if f is best and again.cost < best.cost else f for f in fits]
+            best = min(fits, key=lambda f: f.cost)
             say(f"{role}: cost {best.cost:.1f} is the lowest of {len(fits)}")
         return sorted(fits, key=lambda f: f.cost)
+
+    def _first_stage(
+        self, role: str, without: Collection[str], starts: int, steps: int, joint: JointProblem
+    ) -> list[np.ndarray]:
+        """Return start points of a problem: the best fits of the same one with wide priors."""
+        wide = JointProblem(self, role, without, is_first_stage=True)
+        fits = sorted((wide.solve(point, steps) for point in wide.draw_starts(starts)), key=lambda f: f.cost)
+        say(f"{role}, wide priors: cost {fits[0].cost:.1f} is the lowest of {len(fits)}")
+        return [joint.point(fit.values) for fit in fits[: max(1, starts // CONTINUED_SHARE)]]
 
     def residuals(self, log: int, role: str, fitted: ArmFit) -> tuple[np.ndarray, np.ndarray]:
         """Return measured minus modelled temperature (K) and bend (deg) of a part, NaN where nothing was measured.
@@ -220,15 +197,22 @@ class JointProblem:
         role: Role of the recordings.
         shared: Indices of the shared parameters.
         own: Indices of the parameters of each log.
+        has_first_stage: Whether a prior of it has a first stage.
+        limits: Bounds of all parameters, shape ``(2, p)``.
     """
 
-    def __init__(self, fitter: ArmFitter, role: str, without: Collection[str]):
+    def __init__(self, fitter: ArmFitter, role: str, without: Collection[str], is_first_stage: bool = False):
         self.fitter, self.role = fitter, role
         left_out = [name.startswith("effects.") and name.split(".")[1] in without for name in fitter.names]
         priors = [None if out else PRIORS.get(n) for n, out in zip(fitter.names, left_out, strict=True)]
         self.shared = np.array([i for i, p in enumerate(priors) if p is not None and not p.is_own])
         self.own = np.array([i for i, p in enumerate(priors) if p is not None and p.is_own])
-        self.deviation = np.array([p.deviation if p else 1.0 for p in priors])
+        self.has_first_stage = any(p is not None and p.first_deviation > 0.0 for p in priors)
+        self.deviation = np.array([p.stage_deviation(is_first_stage) if p else 1.0 for p in priors])
+        self.limits = fitter.limits.copy()
+        for i, prior in enumerate(priors):
+            if prior is not None and prior.limits is not None and not is_first_stage:
+                self.limits[:, i] = prior.limits
         constant = {n: 0.0 if out else CONSTANT.get(n, 0.0) for n, out in zip(fitter.names, left_out, strict=True)}
         middle = [
             p.mean if p else constant[n] if n.endswith(".strength") else float(parameters.get(fitter.plant, n))
@@ -259,7 +243,7 @@ class JointProblem:
             common, own, deviation = self._slices(log)
             values[log, self.shared] += self.deviation[self.shared] * (point[common] + SPREAD * point[deviation])
             values[log, self.own] += self.deviation[self.own] * point[own]
-        return np.clip(values, *self.fitter.limits)
+        return np.clip(values, *self.limits)
 
     def point(self, values: np.ndarray) -> np.ndarray:
         """Return the point of given parameters of each log, with the means over the logs as shared ones.
@@ -282,7 +266,7 @@ class JointProblem:
         for log in range(len(self.mean)):
             common, own, _ = self._slices(log)
             for place, index in ((common, self.shared), (own, self.own)):
-                bounds[:, place] = (self.fitter.limits[:, index] - self.mean[log, index]) / self.deviation[index]
+                bounds[:, place] = (self.limits[:, index] - self.mean[log, index]) / self.deviation[index]
         return bounds[0], bounds[1]
 
     def draw_starts(self, count: int, seed: int = 0) -> list[np.ndarray]:

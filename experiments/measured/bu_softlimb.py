@@ -15,9 +15,13 @@ starts detwinned. Of supply, resistance and heat capacity, which scale the same 
 
 All logs are fitted together. The wires are of one make and in one arm, so their alloy, their heat and the silicone
 around them are alike: each wire's parameters scatter about shared ones by a fifth of what data sheets leave open
-(``arm_fit.SPREAD``). One pulse leaves many directions undetermined, in which the other wires then help. Each
-log has its own temperatures, lag of its thermocouple, lever and place where the arm begins. Fits end in different
-places, so they start from several points, and again from points around the best one; the lowest cost counts.
+(``arm_priors.SPREAD``). One pulse leaves many directions undetermined, in which the other wires then help. Each log has
+its own temperatures, lag of its thermocouple, lever and place where the arm begins. Their latent heat is one that an
+alloy can have (``data/plausible-ranges.toml``).
+
+Fits end in different places, so they start from several points. With the narrow prior of the latent heat alone they end
+at higher costs, so a search has two stages: all start points are fitted with a wide prior, the best of these fits are
+continued with the narrow one, and points around the best one follow. The lowest cost with the narrow prior counts.
 
 What the arm has (``EFFECTS``) was read off residuals of both pulses. ``--search`` tests each effect on first pulses
 alone: it is left out, the blocks of 2 s that train are fitted, and the error on every third block shows whether it is
@@ -52,7 +56,7 @@ TARGET_WITH_EFFECTS_K, TARGET_WITH_EFFECTS_DEG = 1.6, 0.37  # of that model with
 # wire that warms within seconds, and a body that warms within minutes; thermocouples that touch wire and silicone, and
 # lag; and a pulse that begins where the arm was left.
 EFFECTS = ("grains", "coating", "body-heat", "thermocouple-contact", "rest-offset")
-STARTS, HOPS, STEPS = 12, 24, 80  # start points, restarts around the best one, solver steps of each
+STARTS, HOPS, STEPS = 12, 16, 80  # start points, restarts around the best one, solver steps of each
 QUICK_STARTS, QUICK_HOPS, QUICK_STEPS = 2, 0, 30
 BASE_STARTS = 8  # with fewer the base fit may stay where the wire never transforms, so that any effect improves it
 MIN_CUT = 0.05  # relative cut of the selection part's error that an effect must reach

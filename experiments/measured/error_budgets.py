@@ -53,7 +53,6 @@ SCORED = 4  # distance of the scored rows of the held-out loop: all splits of a 
 CYCLIC_ROWS = 9  # distance of the rows of the hundred cycles, fitted and scored
 SPREAD_DEVIATION = 0.3  # prior of the spreads of the grains: any share of a band
 DRAWN = 4  # start points of a fit to guarneros that are drawn, in addition to ``guarneros.STARTS``
-ARM_STARTS, ARM_HOPS, ARM_STEPS = 8, 4, 60  # as in bu_softlimb.py, but fewer
 Made = tuple[list[Budget], list[Row]]
 
 
@@ -204,7 +203,8 @@ def softlimb_budgets(quick: bool) -> Made:
     fitter = ArmFitter(logs, bu_softlimb.EFFECTS)
     forecasts = [repeat_first_pulse(log) for log in logs]
     naive = arm_rms([g[0] for g in forecasts]), arm_rms([g[1] for g in forecasts])
-    starts, hops, steps = (1, 0, 20) if quick else (ARM_STARTS, ARM_HOPS, ARM_STEPS)
+    starts, hops, steps = (1, 0, 20) if quick else (bu_softlimb.STARTS, bu_softlimb.HOPS, bu_softlimb.STEPS)
+    base_starts = min(starts, bu_softlimb.BASE_STARTS)
     left_out = {
         "base model": bu_softlimb.EFFECTS,
         "with grains": bu_softlimb.EFFECTS[1:],
@@ -213,7 +213,7 @@ def softlimb_budgets(quick: bool) -> Made:
     errors = {}
     for name, without in left_out.items():
         say(f"bu-softlimb: {name}")
-        fitted = fitter.fit("fitted", without, starts, 0 if without else hops, steps)[0]
+        fitted = fitter.fit("fitted", without, base_starts if without else starts, 0 if without else hops, steps)[0]
         errors[name] = fitter.errors("fitted", fitted), fitter.errors("held", fitted)
     budgets = []
     targets = bu_softlimb.TARGET_WITH_EFFECTS_K, bu_softlimb.TARGET_WITH_EFFECTS_DEG

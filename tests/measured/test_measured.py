@@ -242,6 +242,51 @@ def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]
 
 
+def test_the_latent_heat_of_an_arm_is_one_that_an_alloy_can_have(tmp_path, monkeypatch):
+    """Its ends and its narrow prior hold in the last stage of a search, and not in the first."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common.arm_fit import ArmFitter, JointProblem
+    from experiments.common.arm_log import read_log
+    from experiments.measured.bu_softlimb import EFFECTS
+
+    fitter = ArmFitter([read_log(arm_log(tmp_path) / "log.csv")], EFFECTS)
+    joint, wide = (JointProblem(fitter, "fitted", (), is_first_stage=first) for first in (False, True))
+    column = fitter.names.index("effects.grains.latent_heat")
+    latent_heats = [joint.values(np.full(joint.size, z))[0, column] for z in (-20.0, 0.0, 20.0)]
+    np.testing.assert_allclose(latent_heats, [20e6, 120e6, 220e6])
+    assert joint.deviation[column] < wide.deviation[column]
+    assert wide.values(np.full(wide.size, -20.0))[0, column] == 0.0
+    assert joint.has_first_stage and not JointProblem(fitter, "fitted", ("grains",)).has_first_stage
+
+
+def test_the_best_fits_with_wide_priors_are_start_points(tmp_path, monkeypatch):
+    """Eight start points are fitted with wide priors, and two of these fits are continued; hops follow."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_fit
+    from experiments.common.arm_log import read_log
+    from experiments.measured.bu_softlimb import EFFECTS
+
+    solved = []
+
+    def solve(problem, point, steps):
+        fit = arm_fit.ArmFit(problem.values(point), float(np.sum(point**2)), "")
+        solved.append((problem, fit))
+        return fit
+
+    monkeypatch.setattr(arm_fit.JointProblem, "solve", solve)
+    fitter = arm_fit.ArmFitter([read_log(arm_log(tmp_path) / "log.csv")], EFFECTS)
+    fits = fitter.fit("fitted", (), starts=8, hops=3)
+    stages = [problem for problem, _ in solved]
+    assert len(set(map(id, stages[:8]))) == 1 and len(set(map(id, stages[8:]))) == 1
+    wide, joint = stages[0], stages[8]
+    best = sorted((fit for _, fit in solved[:8]), key=lambda f: f.cost)[:2]
+    for (_, fit), before in zip(solved[8:10], best, strict=True):
+        np.testing.assert_allclose(fit.values, joint.values(joint.point(before.values)))
+    assert np.any(wide.deviation > joint.deviation)
+    assert len(solved) == 8 + 2 + 3 + 1  # the best one is solved again at the end
+    assert len(fits) == 5 and fits[0].cost == min(fit.cost for _, fit in solved[8:])
+
+
 def test_readings_that_are_logged_late_are_moved_back(tmp_path, monkeypatch):
     """The readings are taken 0.1 s later or earlier than their rows say, in turn, on a ramp."""
     monkeypatch.syspath_prepend(str(ROOT))
