@@ -24,7 +24,7 @@ def rejection_text(rejection: Rejection) -> str:
             f"explains {percent:.0f} % of the small excess that {others} does not explain: "
             "a cause would explain nearly all of it, an effect that compensates for slightly wrong kinetics does not"
         ),
-        RejectionCode.implausible: f"brings {others} outside of what an alloy can have",
+        RejectionCode.implausible: f"brings {others} outside of the plausible range",
         RejectionCode.zero: "has a fitted strength of 0",
         RejectionCode.unneeded: "is no longer needed next to the other effects",
         RejectionCode.swapped: f"together with the other effects it explains less than {others}",

@@ -21,7 +21,7 @@ AUSTENITE = "material.thermal_expansion_austenite"
 @pytest.fixture
 def problem():
     """A problem whose base vector is the expansion of austenite in 1e-6 1/K."""
-    effects = {key: catalogue()[key] for key in ("r-phase", "creep")}
+    effects = {key: catalogue()[key] for key in ("r-phase", "creep", "hard-stop")}
 
     def fitted_plant(refit):
         plant = parameters.replace(plants.dead_weight(), {AUSTENITE: 1e-6 * refit.base[0]})
@@ -64,11 +64,19 @@ def test_an_effect_that_needs_what_no_alloy_has_is_left_out_and_named(problem):
         RejectionCode.implausible,
         ("effects.r-phase.width",),
     )
-    assert "brings effects.r-phase.width outside of what an alloy can have" in rejection_text(rejected)
+    assert "brings effects.r-phase.width outside of the plausible range" in rejection_text(rejected)
     assert plausible_fits(problem, state, [wide]) == [] and refusal(problem, fit(11.0), wide) == rejected
     assert _rejections(state) == (rejected,)
     state.accepted = ("r-phase",)  # in another form
     assert _rejections(state) == ()
+
+
+def test_a_stop_that_takes_a_third_of_the_motion_is_none(problem):
+    """Such a fit only bends the end of the stroke."""
+    soft, stiff = (fit(11.0, "hard-stop", 2.0, strength=strength, place=5e-3) for strength in (0.34, 0.97))
+    assert refusal(problem, fit(11.0), stiff) is None
+    rejected = refusal(problem, fit(11.0), soft)
+    assert rejected is not None and rejected.others == ("effects.hard-stop.strength",)
 
 
 def test_a_parameter_that_is_outside_without_the_effect_refuses_none(problem):

@@ -40,7 +40,7 @@ def test_a_range_has_units_and_a_source_of_the_references(name):
     allowed = plausible_range(name, unit_of(name))
     assert allowed is not None and allowed.lower < allowed.upper
     keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "docs" / "references.bib").read_text("utf-8"), re.MULTILINE))
-    assert allowed.source.startswith("as that of") or any(key in allowed.source for key in keys)
+    assert allowed.source.startswith(("as that of", "estimate: ")) or any(key in allowed.source for key in keys)
     assert plausible_range(f"{name}@a.csv", unit_of(name)) == allowed
 
 
