@@ -104,7 +104,8 @@ class Subject:
 def with_grains(rig: Rig) -> Rig:
     """Return a rig with grains, the spreads of whose transformation temperatures are free."""
     free = (*rig.fit.free, *SPREADS)
-    return dataclasses.replace(rig, plant=with_structure(rig.plant, CELLS, GRAINS), fit=dataclasses.replace(rig.fit, free=free))
+    plant = with_structure(rig.plant, CELLS, GRAINS)
+    return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, free=free))
 
 
 def path_budget(subject: Subject, starts: int) -> tuple[Budget, list[Row]]:

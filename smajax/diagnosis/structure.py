@@ -50,6 +50,9 @@ APPROXIMATIONS = (EndConduction.key, TemperatureDistribution.key, GradualTransfo
 SPREADS = ("grains.austenite_spread", "grains.martensite_spread")
 # A full cycle shows the width of the whole wire's transformation alone, which a rig file may have from a data sheet.
 WIDTHS = ("grains.austenite_width", "grains.martensite_width")
+# Correlation of the shifts of a grain in both directions: they may be independent, which is where searches start.
+ANGLE = "grains.correlation_angle"
+_START_ANGLE = 0.5 * math.pi
 # Convection differs along every wire by a few per cent, which shifts the temperatures of cells by as much of their rise
 # above the ambient. Starts of the searches, both signs, and bounds within which they stay. Chosen by trial.
 UNEVEN = "cells.uneven_convection"
@@ -137,8 +140,8 @@ def with_structure(plant: Plant, cells: int = CELLS, grains: int = GRAINS) -> Pl
         grains: Number of grains in each.
     """
     along = None if isinstance(plant.heat, PrescribedTemperature) else Cells(count=cells)
-    spreads = (jnp.asarray(_START_SPREADS[0]),) * 2
-    return dataclasses.replace(plant, cells=along, grains=Grains(*spreads, count=grains))
+    spreads, angle = (jnp.asarray(_START_SPREADS[0]),) * 2, jnp.asarray(_START_ANGLE)
+    return dataclasses.replace(plant, cells=along, grains=Grains(*spreads, correlation_angle=angle, count=grains))
 
 
 def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
@@ -149,7 +152,7 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
         state: The state at the end of its forward selection, whose best effects are the candidates.
     """
     plant = with_structure(problem.base_problem.plant)
-    free = (*problem.settings.free, *SPREADS, *WIDTHS, *((UNEVEN,) if plant.cells is not None else ()))
+    free = (*problem.settings.free, *SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()))
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     structured = DiagnosisProblem(
         plant, problem.splits, settings, **problem.grid_options, candidates=candidate_keys(state)
@@ -209,7 +212,7 @@ def held_values(variant: str, has_cells: bool) -> dict[str, float]:
         variant: A key of ``VARIANTS``.
         has_cells: Whether the problem has cells.
     """
-    one_grain = dict.fromkeys(SPREADS, 0.0) | dict.fromkeys(WIDTHS, 1.0)
+    one_grain = dict.fromkeys(SPREADS, 0.0) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: 0.0}
     values = one_grain if variant in ("neither", "cells") else {}
     return values | (_WITHOUT_CELLS if has_cells and variant in ("neither", "grains") else {})
 
@@ -223,8 +226,8 @@ def fit_with_structure(
         evaluator: The evaluator of the problem with structure.
         effect_set: The effects, with start values of their parameters.
         without: The fit without structure; the values of the structure follow its parameters in the base vector.
-        first: A fit with structure and other effects, from which this one starts, too; by default from the values of the
-            rig.
+        first: A fit with structure and other effects, from which this one starts, too; by default from the rig's
+            values.
 
     Returns:
         The best fit to the training split.
@@ -256,8 +259,8 @@ def refit(evaluator: CandidateEvaluator, fit: CandidateFit, effect_set: EffectSe
 
 
 def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -> np.ndarray:
-    """Entries of both spreads, both widths, and of the uneven convection in the base vector."""
-    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | {UNEVEN: uneven}
+    """Entries of the parameters of grains, and of the uneven convection, in the base vector."""
+    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: _START_ANGLE, UNEVEN: uneven}
     return np.array([values[u.name] / u.scale for u in problem.problems[TRAIN].unknowns if u.name in values])
 
 

@@ -94,7 +94,7 @@ class CellsAndGrains(eqx.Module):
         if self.grains is None:
             return function(material, values)
         grains = self.grains
-        return jax.vmap(lambda quantile, value: function(grains.material_of(material, quantile), value))(
+        return jax.vmap(lambda quantiles, value: function(grains.material_of(material, quantiles), value))(
             jnp.asarray(grains.quantiles), values
         )
 

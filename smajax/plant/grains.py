@@ -2,14 +2,20 @@
 
 Each of k grains follows the material law with its own fractions, and so with its own memory of partial loops. The
 fractions of a cell are the mean of those of its grains. Grain i transforms at temperatures that differ from those of
-the whole wire by z_i times a standard deviation; z_i are the quantiles of a normal distribution, scaled to a variance
-of 1.
+the whole wire by z_i times a standard deviation in the reverse, and by y_i times one in the forward transformation.
+The z_i are the quantiles of a normal distribution, scaled to a variance of 1, and
+
+    y_i = cos(theta) z_i + sin(theta) n_i
+
+with the values n_i in another order, without what is correlated with z_i: the cosine of the angle theta is the
+correlation between the two directions. At 0, the default, grains that transform back at a higher temperature also form
+martensite at a higher one; at 90 deg the two are independent.
 
 The transformation temperatures in files are those of the whole wire. The spread phi, given for both directions apart,
 is the share of the standard deviation s of the whole wire's transformation that is due to differences between grains.
 With the width W of the wire's transformation (A_f - A_s, or M_s - M_f), a grain has, about the same middle,
 
-    width = w c(phi) W sqrt(1 - phi^2)        shift = w c(phi) W s phi z_i
+    width = w c(phi) W sqrt(1 - phi^2)        shift = w c(phi) W s phi z_i, or y_i
 
 The factor w on the width, again for both directions apart, is 1: a fit may free it, since the width of a law above M_s
 depends on several of its parameters (``with_whole_width``).
@@ -18,12 +24,14 @@ The factor c(phi) is near 1. With it the mean over many grains has the steepest 
 that the tangents at a measured cycle (ASTM E3097) give the same temperatures for every spread.
 """
 
+import math
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from scipy.special import ndtri
 
 from smajax.parameters import CheckedModule, parameter
@@ -33,6 +41,8 @@ from smajax.plant.materials.base import AbstractMaterial
 _LARGEST_SPREAD = 0.95
 # Bounds of the factors on the widths, far beyond the differences between wires of one alloy. Chosen by trial.
 _WIDTHS = (0.2, 5.0)
+# Standard deviation below which quantiles are 0 up to rounding.
+_ROUNDING = 1e-9
 
 
 class Grains(CheckedModule):
@@ -62,26 +72,41 @@ class Grains(CheckedModule):
     martensite_width: jax.Array = parameter(
         "1", "width of the forward transformation over that of the file's temperatures", *_WIDTHS, 1.0
     )
+    correlation_angle: jax.Array = parameter(
+        "rad",
+        "angle whose cosine is the correlation of a grain's shifts of both transformations",
+        0.0,
+        math.pi,
+        0.0,
+    )
     count: int = eqx.field(static=True, default=6)
 
     @property
     def quantiles(self) -> np.ndarray:
-        """Quantiles z_i of a normal distribution at the middles of equal shares, with a variance of 1."""
-        quantiles = ndtri((np.arange(self.count) + 0.5) / self.count)
-        return quantiles / np.sqrt(np.mean(quantiles**2))
+        """The z_i and the n_i of each grain, with means of 0 and variances of 1, shape ``(count, 2)``.
 
-    def material_of(self, material: AbstractMaterial, quantile: jax.Array) -> AbstractMaterial:
+        Two grains have no n_i other than 0.
+        """
+        quantiles = ndtri((np.arange(self.count) + 0.5) / self.count)
+        quantiles = quantiles / np.sqrt(np.mean(quantiles**2))
+        other = np.concatenate([quantiles[::2], quantiles[1::2]])
+        other = other - np.mean(other * quantiles) * quantiles
+        return np.stack([quantiles, other / max(math.sqrt(np.mean(other**2)), _ROUNDING)], axis=1)
+
+    def material_of(self, material: AbstractMaterial, quantiles: Float[Array, "2"]) -> AbstractMaterial:
         """Return the law of one grain.
 
         Args:
             material: The law of the whole wire.
-            quantile: Quantile of the grain, z_i.
+            quantiles: Quantiles of the grain, z_i and n_i.
         """
+        first, other = quantiles
+        second = jnp.cos(self.correlation_angle) * first + jnp.sin(self.correlation_angle) * other
         reverse, forward = (
             _band(spread, width, quantile, material)
-            for spread, width in (
-                (self.austenite_spread, self.austenite_width),
-                (self.martensite_spread, self.martensite_width),
+            for spread, width, quantile in (
+                (self.austenite_spread, self.austenite_width, first),
+                (self.martensite_spread, self.martensite_width, second),
             )
         )
         return material.with_bands(reverse, forward)

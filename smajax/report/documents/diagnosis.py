@@ -17,6 +17,7 @@ RejectionCode = Literal[
     "unneeded",
     "swapped",
     "little-explained",
+    "law",
     "holdout",
 ]
 _ROLES = ["train", "select", "holdout"]

@@ -18,6 +18,7 @@ from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
 from smajax.diagnosis.setup import diagnosed_rig
 from smajax.diagnosis.structure import (
+    ANGLE,
     CELLS,
     GRAINS,
     SPREADS,
@@ -104,7 +105,7 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
         lower, upper = held.bounds
         names = [unknown.name for unknown in held.problems[TRAIN].unknowns]
         fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
-        one_grain = {*SPREADS, *WIDTHS} if variant in ("neither", "cells") else set()
+        one_grain = {*SPREADS, *WIDTHS, ANGLE} if variant in ("neither", "cells") else set()
         assert fixed == one_grain | ({UNEVEN} if variant in ("neither", "grains") else set())
         difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
         differences[variant] = np.sqrt(np.mean(difference**2)) / size

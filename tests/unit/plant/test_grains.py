@@ -125,3 +125,23 @@ def test_each_grain_has_a_memory_of_its_own():
     recording = plants.recording({"temperature": path, "stress": np.full(200, STRESS)})
     detwinned = np.asarray(simulate(plant, discretise(plant, recording)).state.fractions.detwinned)[-1, :, 0]
     assert np.all(np.diff(detwinned) >= -1e-12) and detwinned[0] < 0.1 and detwinned[-1] > 0.9
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 6, 12])
+def test_quantiles_are_independent_of_those_in_another_order(count):
+    first, other = Grains(count=count).quantiles.T
+    assert np.mean(first) == pytest.approx(0.0, abs=1e-12) and np.mean(first**2) == pytest.approx(1.0)
+    assert np.mean(other) == pytest.approx(0.0, abs=1e-12) and np.mean(first * other) == pytest.approx(0.0, abs=1e-12)
+    assert np.mean(other**2) == pytest.approx(0.0 if count == 2 else 1.0, abs=1e-12)
+
+
+def test_the_cosine_of_the_angle_is_the_correlation_of_both_shifts():
+    law = MATERIALS["brinson"](**plants.MATERIAL)
+    shifts = {}
+    for angle in (0.0, 0.5 * np.pi, 2.0):
+        grains = Grains(correlation_angle=jnp.asarray(angle), count=6)
+        laws = [grains.material_of(law, jnp.asarray(q)) for q in grains.quantiles]
+        reverse, forward = (np.array([float(getattr(m, f"{p}_start")) for m in laws]) for p in ("austenite", "martensite"))
+        assert np.corrcoef(reverse, forward)[0, 1] == pytest.approx(np.cos(angle), abs=1e-9)
+        shifts[angle] = np.std(reverse), np.std(forward)
+    assert shifts[2.0] == pytest.approx(shifts[0.0])

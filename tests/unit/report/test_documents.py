@@ -3,7 +3,7 @@
 import copy
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jsonschema
 import numpy as np
@@ -11,8 +11,10 @@ import pydantic
 import pytest
 
 from smajax.control.export.json_document import SCHEMA as CONTROLLER_SCHEMA
+from smajax.diagnosis.acceptance import RejectionCode
 from smajax.errors import InputError
 from smajax.report.documents import DOCUMENTS, ControllerDocument, FitDocument, read_document, read_fit, read_run
+from smajax.report.documents.diagnosis import RejectionCode as DocumentedCode
 from smajax.report.documents.schemas import schemas, write_schemas
 from smajax.report.documents.write import write_result
 from smajax.report.prediction import make_series, write_predictions
@@ -264,3 +266,7 @@ def test_a_page_is_rebuilt_from_the_folder(tmp_path, command):
     page = rebuild_report(folder).read_text("utf-8")
     assert page.startswith("<!DOCTYPE html>") and 'id="picture-0"' in page
     assert ("The rig file" in page) == (command != "properties")
+
+
+def test_a_document_takes_every_code_of_a_rejection():
+    assert set(get_args(DocumentedCode)) == set(RejectionCode)
