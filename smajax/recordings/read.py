@@ -129,7 +129,9 @@ def read_recordings(
         changes |= {"columns": tuple(headers)} if headers is not None and is_file else {}
         options = (options or ReadOptions()).replace(**changes)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from None if is_file else error
+        if not is_file:  # a table in memory has no name
+            raise
+        raise InputError(f"{source}: {error}") from None
     needs_time = clock and (options.sample_period is None or isinstance(source, Recording))
     names = [*required, *observed, *(["time"] if needs_time else [])]
     request = _Request(mapping or {}, ignore, names, observed, options, clock)

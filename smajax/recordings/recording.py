@@ -83,8 +83,10 @@ class Recording:
             units: Units in which the channels are written and reported; internal units by default.
 
         Raises:
-            InputError: If the shapes differ, or values are traced by JAX.
+            InputError: If there is no channel, the shapes differ, or values are traced by JAX.
         """
+        if not channels:
+            raise InputError(f"{name}: there is no channel: give a dictionary with the array of each channel")
         columns = [*([] if time is None else ["time"]), *channels]
         units = {channel: units.get(channel, channel_unit(channel)) for channel in columns}
         rounded = {

@@ -55,7 +55,16 @@ def test_a_registered_class_is_found_by_its_name():
         ("My Controller", Plain, "controller 'My Controller': the name is not in small letters with hyphens"),
         ("number", 3, "3 is not a class: give the class itself"),
         ("a-dict", dict, "dict is not of this kind: derive it from"),
-        ("abstract", AbstractController, "it lacks lower, period, reset, step, upper"),
+        (
+            "abstract",
+            AbstractController,
+            "define 'lower', 'period', 'upper' in the body of the class; define the methods",
+        ),
+        (
+            "an-instance",
+            Plain(1.0, period=0.1),
+            r"controller 'an-instance': Plain\(.* is not a class: give the class itself",
+        ),
     ],
 )
 def test_what_cannot_be_registered(name, cls, sentence):
