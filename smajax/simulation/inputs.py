@@ -210,12 +210,14 @@ def discretise(
             recordings have one shape; by default those of the recording.
 
     Raises:
-        InputError: If an argument is of another type or of single precision, the recording lacks a channel, the
-            interpolation is unknown, or the step is not above 0 or depends on a traced plant.
+        InputError: If an argument is of another type or of single precision, the recording lacks a channel, a row
+            or a value, its time decreases, the interpolation is unknown, or the step is not above 0 or depends on a
+            traced plant.
     """
     check_plant("discretise", plant)
     check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
+    _check_rows(plant, recording)
     if interpolation not in _INTERPOLATIONS:
         raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
     if step is not None:
@@ -273,6 +275,27 @@ def _check_channels(plant: Plant, recording: Recording) -> None:
             raise InputError(
                 f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, "
                 f"which drives the plant: add a column '{name}' (it has {columns})"
+            )
+
+
+def _check_rows(plant: Plant, recording: Recording) -> None:
+    """Check that a recording has two rows, times that do not decrease, and a number for each signal in every row."""
+    time = recording.time
+    if len(time) < 2:
+        raise InputError(f"{recording.name}: the number of rows is {len(time)}: a simulation needs at least two")
+    wrong = np.flatnonzero(~(np.diff(time) >= 0.0))
+    if len(wrong):
+        row = int(wrong[0]) + 1
+        raise InputError(
+            f"{recording.name}: row {row}: time does not increase, from {time[row - 1]:g} s to {time[row]:g} s: sort "
+            "the rows, and leave out what repeats"
+        )
+    for name in plant.signals:
+        missing = np.flatnonzero(~np.isfinite(recording.channels[name]))
+        if len(missing):
+            raise InputError(
+                f"{recording.name}: row {missing[0]}: channel '{name}', which drives the plant, is "
+                f"{recording.channels[name][missing[0]]}: give a number, or leave out the row"
             )
 
 

@@ -48,7 +48,16 @@ SENTENCES = {
     "sma.read_recording(table, delimiter=3)": "delimiter = 3 is of type int: give a text",
     "sma.Recording.from_arrays('x', None, {})": "x: there is no channel: give a dictionary with the array of each "
     "channel",
+    "sma.Recording.from_arrays('x', None, {'current': ['a']})": "x: channel 'current': these are no numbers: give an "
+    "array of floats",
+    "sma.Recording.from_arrays('x', None, {'current': [1.0]}, {'curent': 'A'})": "'curent' is not a known channel (did "
+    "you mean 'current'?)",
     # loops of one's own
+    "sma.simulate(plant, rows([0.0, 2.0, 1.0], [0.1, 0.1, 0.1]))": "x: row 2: time does not increase, from 2 s to 1 s",
+    "sma.simulate(plant, rows([0.0, 1.0], [0.1, np.nan]))": "x: row 1: channel 'current', which drives the plant, is "
+    "nan: give a number, or leave out the row",
+    "sma.simulate(plant, rows([0.0], [0.1]))": "x: the number of rows is 1: a simulation needs at least two",
+    "sma.simulate(plant, rows([], []))": "x: the number of rows is 0: a simulation needs at least two",
     "sma.discretise(plant, recording, step=-1.0)": "discretise: step = -1 s is not possible: give a time above 0 s",
     "sma.simulate(plant, recording, step=float('nan'))": "discretise: step = nan s is not possible: give a time",
     "sma.simulate(plant, recording, step='x')": "discretise: step = 'x' is not possible: give a time above 0 s",
@@ -99,6 +108,12 @@ recording = rig.read(table, observed=False)
 inputs, state, latent = sma.discretise(plant, recording), sma.init(plant, signal), sma.effects.LatentHeat(strength=1e8)
 pid = sma.controllers.PID(kp=400.0, ki=50.0, lower=0.0, upper=0.4, period=0.1)
 loop = sma.ClosedLoop(pid, channel="displacement")
+
+
+def rows(time, current):
+    return sma.Recording.from_arrays("x", np.asarray(time), {{"current": np.asarray(current)}})
+
+
 for call in {list(SENTENCES)!r}:
     try:
         print("accepted:", eval(call))

@@ -164,7 +164,7 @@ def test_the_document_of_an_own_controller_that_is_not_registered_has_the_name_o
         """Proportional controller."""
 
     own = Unregistered(kp=2.0, period=0.1)
-    with pytest.raises(InputError, match="^the gain 'kp' has no unit: give one of kp each a unit$"):
+    with pytest.raises(InputError, match="^the gain 'kp' has no unit: give a unit for each of kp$"):
         controller_document(own, {})
     document = controller_document(own, {"kp": "A/m"})
     assert document["kind"] == "Unregistered" and document["gains"]["kp"]["value"] == 2.0
