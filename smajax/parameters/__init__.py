@@ -11,7 +11,8 @@ import inspect
 import math
 import os
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, get_args, get_type_hints
+from types import UnionType
+from typing import Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 import jax
@@ -114,6 +115,9 @@ class CheckedModule(eqx.Module):
 def _check_parts(module: CheckedModule) -> None:
     """Check that the parts of a module, which are modules themselves, are of the types that its fields name."""
     for field in dataclasses.fields(module):
+        annotation = field_annotation(type(module), field)
+        if get_origin(annotation) not in (None, Union, UnionType):  # such as a function that returns a module
+            continue
         types, value = module_types(type(module), field), getattr(module, field.name)
         if types and not isinstance(value, tuple(types)) and not (value is None and field.default is None):
             kind = f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__}"
@@ -134,6 +138,16 @@ def _describe(name: str, declaration: Declaration) -> str:
     return f"{name} [{declaration.unit}]: {declaration.meaning}; {lower} to {upper}, {start}."
 
 
+def field_annotation(cls: type[Any], field: dataclasses.Field[Any]) -> Any:
+    """Return the type of a field, also where it is written as text.
+
+    Args:
+        cls: The class that has the field.
+        field: The field.
+    """
+    return get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
+
+
 def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx.Module]]:
     """Return the classes of modules in the type of a field: ``[Sheath]`` for ``sheath: Sheath | None``.
 
@@ -141,7 +155,7 @@ def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx
         cls: The class that has the field.
         field: The field.
     """
-    annotation = get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
+    annotation = field_annotation(cls, field)
     return [t for t in (annotation, *get_args(annotation)) if isinstance(t, type) and issubclass(t, eqx.Module)]
 
 

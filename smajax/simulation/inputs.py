@@ -218,10 +218,7 @@ def discretise(
     check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
     _check_rows(plant, recording)
-    if interpolation not in _INTERPOLATIONS:
-        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
-    if step is not None:
-        check_duration("discretise", "step", step)
+    _check_options(interpolation, step)
     time = recording.time
     pieces = _steps_per_sample(plant, recording, interpolation, step)
     indices = np.concatenate([[0], np.cumsum(pieces)])
@@ -276,6 +273,14 @@ def _check_channels(plant: Plant, recording: Recording) -> None:
                 f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, "
                 f"which drives the plant: add a column '{name}' (it has {columns})"
             )
+
+
+def _check_options(interpolation: str, step: float | None) -> None:
+    """Check the options of a grid."""
+    if interpolation not in _INTERPOLATIONS:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
+    if step is not None:
+        check_duration("discretise", "step", step)
 
 
 def _check_rows(plant: Plant, recording: Recording) -> None:
