@@ -100,7 +100,7 @@ def suggestion(word: str, candidates: Iterable[str]) -> str:
     Returns:
         `` (did you mean 'x'?)`` with the most similar candidate; an empty string where none is similar.
     """
-    matches = difflib.get_close_matches(word, list(candidates), n=1, cutoff=_MIN_SIMILARITY)
+    matches = difflib.get_close_matches(str(word), list(candidates), n=1, cutoff=_MIN_SIMILARITY)
     return f" (did you mean '{matches[0]}'?)" if matches else ""
 
 

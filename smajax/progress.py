@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, Protocol, runtime_checkable
 
-from smajax.errors import Cancelled
+from smajax.errors import Cancelled, InputError
 
 # What a progress callback raises to stop the work; Ctrl-C raises the first.
 _STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
@@ -85,7 +85,14 @@ class Reporter:
 
         Args:
             callback: Function that gets the events; ``None`` to report nothing.
+
+        Raises:
+            InputError: If the callback is no function.
         """
+        if callback is not None and not callable(callback):
+            raise InputError(
+                f"progress is of type {type(callback).__name__}: give a function that takes a ProgressEvent, or None"
+            )
         self._callback = callback
         self._last = ProgressEvent("")
         self.stopped = False

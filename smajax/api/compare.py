@@ -8,6 +8,7 @@ from typing import Any
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text
 from smajax.api.study import Study
+from smajax.arguments import as_names, seed_or_default
 from smajax.comparison.compare import compare_models
 from smajax.comparison.model_result import ModelResult
 from smajax.comparison.models import model_names, select_models
@@ -67,16 +68,16 @@ def compare(
             before.
     """
     clock, reporter = Clock(), Reporter(progress)
-    names = select_models(model_names() if models is None else models)
+    names = select_models(model_names() if models is None else as_names("compare", "models", models))
     reporter.phase("reading")
     with clock.time("read"):
         rig = as_rig(rig)
+        seed = seed_or_default("compare", seed, rig.fit.seed)
         text = rig_text(rig)
         sources = one_source(train, "train"), one_source(holdout, "holdout")
         recordings = [r for r, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
         refuse_copies(recordings)
     inputs = list(rig.plant.driving_channels(*(recording.channels for recording in recordings)))
-    seed = rig.fit.seed if seed is None else seed
     with clock.time("fit"):
         report = partial(_report, reporter)
         results = compare_models(rig, names, recordings, seed=seed, progress=report)

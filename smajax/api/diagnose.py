@@ -11,6 +11,7 @@ from smajax import parameters
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
+from smajax.arguments import seed_or_default
 from smajax.comparison.material_models import with_material_law
 from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.diagnosis.outcome import diagnose as diagnose_problem
@@ -124,9 +125,9 @@ def diagnose(
     with clock.time("read"):
         reporter.phase("reading")
         rig = as_rig(rig, drop_misplaced=True)
+        seed = seed_or_default("diagnose", seed, rig.fit.seed)
         text, rig = rig_text(rig), with_start(rig, start)
         recordings = _read(rig, (train, select, holdout), drop_bad_rows)
-    seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
         result = _diagnose(rig, setup, (seed, laws), reporter, clock)

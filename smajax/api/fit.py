@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,8 +13,9 @@ import numpy as np
 
 from smajax import __version__, parameters
 from smajax.api.run_record import Clock, run_record
-from smajax.api.sources import RigSource, as_rig, rig_text, with_start
+from smajax.api.sources import RigSource, as_rig, recording_sources, rig_text, with_start
 from smajax.api.study import FileContent, Study, interval_of
+from smajax.arguments import MAX_STARTS, as_names, seed_or_default, whole_number
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
@@ -123,7 +125,7 @@ def fit(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        options = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
+        options = (seed, starts, max_steps)
         inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
     search = _search(inputs, solver, max_steps, reporter, clock)
     reporter.finish("writing the report")
@@ -144,6 +146,13 @@ def fit(
         reason=reason if code else "",
         result=search.result,
     )
+
+
+def _options(rig: Rig, seed: Any, starts: Any, max_steps: Any) -> dict[str, int]:
+    """Settings of a fit that arguments replace, after a check of them and of the number of steps."""
+    whole_number("fit", "max_steps", max_steps, 1, sys.maxsize)
+    options = {"seed": seed_or_default("fit", seed, rig.fit.seed)}
+    return options if starts is None else options | {"starts": whole_number("fit", "starts", starts, 1, MAX_STARTS)}
 
 
 class _FitInputs(NamedTuple):
@@ -175,15 +184,21 @@ def _read_inputs(
     train: Any,
     holdout: Any,
     start: str | Path | None,
-    options: Mapping[str, int],
+    options: tuple[Any, Any, Any],
     profile: Sequence[str],
     drop_bad_rows: bool,
 ) -> _FitInputs:
     warnings, text = list(rig.notes), rig_text(rig)
     rig = with_start(rig, start)
-    settings: Any = dataclasses.replace(rig.fit, **options)
-    recordings = read_train_and_holdout(rig, train, () if holdout is None else holdout, drop_bad_rows)
-    labels = profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
+    settings: Any = dataclasses.replace(rig.fit, **_options(rig, *options))
+    holdout = () if holdout is None else holdout
+    if not recording_sources("train", train):
+        raise InputError("fit: train has no recording: give at least one")
+    recording_sources("holdout", holdout)
+    recordings = read_train_and_holdout(rig, train, holdout, drop_bad_rows)
+    labels = profile_labels(
+        as_names("fit", "profile", profile), settings, [r.name for r, role in recordings if role == "train"]
+    )
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 
 

@@ -13,6 +13,7 @@ from smajax.api.saved_files import saved_files
 from smajax.api.study import PREDICTIONS, Study
 from smajax.api.sweep import load_sweep
 from smajax.api.tune import TuningStudy
+from smajax.arguments import as_path
 from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 
@@ -31,7 +32,7 @@ def load(folder: str | Path) -> Study:
     Raises:
         InputError: If the folder is not a result of smajax, or a file is missing or damaged.
     """
-    folder = Path(folder)
+    folder = as_path("load", "folder", folder, "the path of a result folder")
     run, document = read_run(folder).to_dict(), read_document(folder).to_dict()
     command = run["command"]
     if command == "sweep":

@@ -1,13 +1,15 @@
 """Properties of thermal cycles by ASTM E3097, and start values of a fit."""
 
 import dataclasses
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from smajax.api.run_record import Clock, run_record
 from smajax.api.study import FileContent, Study, interval_of
-from smajax.errors import InputError
+from smajax.arguments import whole_number
+from smajax.errors import InputError, suggestion
 from smajax.files.parameter_sets import parameters_text
 from smajax.progress import ProgressCallback, Reporter
 from smajax.properties.branch_properties import Tangent
@@ -111,6 +113,12 @@ def thermal_cycle_properties(
         Cancelled: If the callback stopped the analysis.
     """
     clock, reporter = Clock(), Reporter(progress)
+    if tangent not in get_args(Tangent):
+        raise InputError(
+            f"tangent = '{tangent}' is not known{suggestion(tangent, get_args(Tangent))}: it is 'lines' or 'steepest'"
+        )
+    if smooth is not None:
+        smooth = whole_number("thermal_cycle_properties", "smooth", smooth, 1, sys.maxsize)
     reporter.phase("reading")
     with clock.time("read"):
         read = _read(as_source_list(recordings), reading)

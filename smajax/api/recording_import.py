@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from smajax.arguments import as_path
 from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings
 from smajax.files.recording_sections import sections_text
@@ -144,7 +145,9 @@ def import_recording(
     Raises:
         InputError: If the file cannot be read, no column is recognised, or an answer or option is wrong.
     """
-    recognition, questions = _decide(Path(path), dict(channels or {}), dict(reading), ask)
+    recognition, questions = _decide(
+        as_path("import_recording", "path", path, "the path of a file"), dict(channels or {}), dict(reading), ask
+    )
     if not any(column.channel not in (None, "time") for column in recognition.columns):
         raise unrecognised(recognition)
     recordings = read_recordings(

@@ -10,7 +10,7 @@ import equinox as eqx
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig, parse_rig, read_rig
 from smajax.files.warm_start import warm_start_plant
-from smajax.recordings.sources import as_source_list
+from smajax.recordings.sources import TAKES, as_source_list, is_path, is_recording_source
 
 # A rig, the path of its file, or a dictionary with the sections of a rig file.
 RigSource: TypeAlias = Rig | str | Path | Mapping[str, Any]
@@ -50,7 +50,30 @@ def with_start(rig: Rig, start: str | Path | None) -> Rig:
         rig: The rig.
         start: File of the parameter set; ``None`` for the rig's own values.
     """
-    return rig if start is None else dataclasses.replace(rig, plant=warm_start_plant(rig, Path(start)))
+    if start is None:
+        return rig
+    if not is_path(start):
+        cure = "give the path of a parameter set, such as the fit.toml of an earlier fit"
+        raise InputError(f"start is of type {type(start).__name__}: {cure}")
+    return dataclasses.replace(rig, plant=warm_start_plant(rig, Path(start)))
+
+
+def recording_sources(argument: str, sources: Any) -> list[Any]:
+    """Return the recordings of an argument as a list.
+
+    Args:
+        argument: Name of the argument in messages.
+        sources: A recording, or several in a list or tuple.
+
+    Raises:
+        InputError: If one is of a type from which no recording can be read.
+    """
+    listed = as_source_list(sources)
+    for source in listed:
+        if not is_recording_source(source):
+            kind = type(source).__name__
+            raise InputError(f"{argument}: a recording cannot be read from an object of type {kind}: {TAKES}")
+    return listed
 
 
 def one_source(sources: Any, argument: str) -> Any:
@@ -63,7 +86,7 @@ def one_source(sources: Any, argument: str) -> Any:
     Raises:
         InputError: If there are several or none.
     """
-    listed = as_source_list(sources)
+    listed = recording_sources(argument, sources)
     if len(listed) != 1:
         raise InputError(f"{argument}: one recording is needed, {len(listed)} were given")
     return listed[0]

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from smajax.arguments import as_path
 from smajax.errors import InputError
 from smajax.files.documents import to_json
 from smajax.files.rig_file import Rig, parse_rig
@@ -96,7 +97,7 @@ class Study:
         Raises:
             InputError: If the folder holds files that smajax did not write, or cannot be written.
         """
-        folder = Path(folder)
+        folder = as_path("save", "folder", folder, "the path of a result folder")
         run = {**self.run, "argv": list(argv)}
         if self.reason and self.document_name != "run.json":  # a simulation has it as its text
             run["reason"] = self.reason

@@ -19,6 +19,7 @@ import numpy as np
 from smajax.api.run_record import Clock, run_record
 from smajax.api.saved_files import saved_files
 from smajax.api.study import FileContent, Study
+from smajax.arguments import as_path, check_type
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.result_folder import check_output_folder
 from smajax.progress import ProgressCallback, Reporter
@@ -131,6 +132,9 @@ def sweep(
         InputError: If a file is not valid, the folder cannot be written, or the scheduler cannot be reached.
         Cancelled: If the callback stopped the sweep.
     """
+    path = as_path("sweep", "file", file, "the path of a sweep file, or of the table sweep.parquet of a sweep")
+    if scheduler is not None:
+        check_type("sweep", "scheduler", scheduler, str, "the address of a Dask scheduler, or 'local'")
     if resume and folder is None:
         raise InputError("resume: the chunks are next to a result folder: give the one of the earlier run as folder")
     reporter = Reporter(progress)
@@ -138,9 +142,9 @@ def sweep(
         if folder is None:
             out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smajax-"))) / "sweep"
         else:
-            out = check_output_folder(Path(folder))
+            out = check_output_folder(as_path("sweep", "folder", folder, "the path of the result folder"))
             pyarrow_parquet(out, instead="")  # before any computation
-        return _sweep(Path(file), out, folder is not None, scheduler, resume, reporter, argv)
+        return _sweep(path, out, folder is not None, scheduler, resume, reporter, argv)
 
 
 class _Designs(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, rig_text
 from smajax.api.study import FileContent, Study
+from smajax.arguments import as_path, seed_or_default
 from smajax.control.analysis.closed_loop_checks import GainEvaluation, wire_channels
 from smajax.control.controller_file.read import ControllerFile, read_controller
 from smajax.control.export.files import export_files
@@ -79,8 +80,10 @@ def tune(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        rig, path = as_rig(rig), Path(controller)
+        path = as_path("tune", "controller", controller, "the path of a controller file")
+        rig = as_rig(rig)
         settings = read_controller(path, rig)
+        seed = seed_or_default("tune", seed, settings.seed)
         files: dict[str, FileContent] = {
             "rig.toml": rig_text(rig).encode(),
             "controller.toml": read_text(path, "controller").encode(),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from smajax import parameters
+from smajax.arguments import as_path
 from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
 from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
@@ -175,7 +176,7 @@ class Rig:
         Raises:
             InputError: If the values fail the checks of ``parse_rig``, or the file cannot be written.
         """
-        write_text(Path(path), self.to_toml(values))
+        write_text(as_path("write", "path", path, "the path of a rig file"), self.to_toml(values))
 
 
 def read_rig(source: str | Path | Mapping[str, Any], *, drop_misplaced: bool = False) -> Rig:
@@ -192,7 +193,7 @@ def read_rig(source: str | Path | Mapping[str, Any], *, drop_misplaced: bool = F
     """
     if isinstance(source, Mapping):
         return _parse_data(plain_tables(source, "rig"), "rig", {}, Path(), drop_misplaced)
-    path = Path(source)
+    path = as_path("read_rig", "rig", source, "the path of a rig file, a dictionary with its sections, or a Rig")
     rig = parse_rig(read_text(path, "rig"), str(path), path.parent, drop_misplaced=drop_misplaced)
     return replace(rig, name=path.name, path=path)
 

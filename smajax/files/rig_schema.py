@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field
 
+from smajax.arguments import MAX_SEED, MAX_STARTS
 from smajax.files.toml import STRICT
 from smajax.files.validators import one_of
 from smajax.plant.drive import DRIVES
@@ -13,10 +14,6 @@ from smajax.plant.mechanisms.registry import MECHANISMS
 INTERPOLATIONS = ("hold", "linear")
 # The choice of ``rig.control`` for a wire that something else heats, such as water, an oven or a heat gun.
 PRESCRIBED_TEMPERATURE = "temperature"
-# Largest seed of NumPy's and JAX's random generators.
-_MAX_SEED = 2**32 - 1
-# Largest number of starting points; chosen by trial.
-_MAX_STARTS = 10_000
 
 
 class RigSection(BaseModel):
@@ -40,5 +37,5 @@ class FitSection(BaseModel):
     bounds: dict[str, Any] = Field({}, examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'])
     observe: list[str] | None = Field(None, examples=['["displacement"]'])
     noise: dict[str, Any] = Field({}, examples=['{displacement = "0.02 mm"}'])
-    starts: int | None = Field(None, ge=1, le=_MAX_STARTS, examples=["4"])
-    seed: int = Field(0, ge=0, le=_MAX_SEED, examples=["0"])
+    starts: int | None = Field(None, ge=1, le=MAX_STARTS, examples=["4"])
+    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])

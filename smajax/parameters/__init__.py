@@ -11,7 +11,8 @@ import inspect
 import math
 import os
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, get_args, get_type_hints
+from types import UnionType
+from typing import Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 import jax
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.errors import InputError, missing_members, suggestion
-from smajax.parameters.checks import Declaration, check_order, check_value
+from smajax.parameters.checks import Declaration, check_declaration, check_order, check_value
 from smajax.units import as_text
 
 # All of smajax needs double precision. JAX is switched to it here, on import, unless the environment says otherwise.
@@ -93,17 +94,37 @@ class CheckedModule(eqx.Module):
         """Check the values of the declared parameters.
 
         Raises:
-            InputError: If one is outside of its bounds, or a transformation does not end above its start.
+            InputError: If one is missing or outside of its bounds, a transformation does not end above its start, or
+                a part is of another type.
         """
         table, name = declarations(self), type(self).__name__
         for key, declared in table.items():
-            check_value(f"{name}.{key}", getattr(self, key), declared)
+            value = getattr(self, key)
+            if value is None and not (declared.default is not None and math.isnan(declared.default)):
+                raise InputError(f"{name}.{key} is None: give a number in {declared.unit}")
+            check_value(f"{name}.{key}", value, declared)
+        _check_parts(self)
         # A module does not know the name of its section.
         key_of = lambda pair_member: pair_member.rpartition(".")[2]  # noqa: E731
         check_order(
             lambda n: getattr(self, key_of(n)) if key_of(n) in table else None,
             lambda n, value: f"{name}.{key_of(n)} = {as_text(value, table[key_of(n)].unit)}",
         )
+
+
+def _check_parts(module: CheckedModule) -> None:
+    """Check that the parts of a module, which are modules themselves, are of the types that its fields name."""
+    for field in dataclasses.fields(module):
+        annotation = field_annotation(type(module), field)
+        if get_origin(annotation) not in (None, Union, UnionType):  # such as a function that returns a module
+            continue
+        types, value = module_types(type(module), field), getattr(module, field.name)
+        if types and not isinstance(value, tuple(types)) and not (value is None and field.default is None):
+            kind = f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__}"
+            raise InputError(
+                f"{type(module).__name__}: {field.name} cannot be {kind}: give a "
+                f"{' or '.join(t.__name__ for t in types)}"
+            )
 
 
 def _dataclass_fields(cls: type[Any]) -> dict[str, dataclasses.Field]:
@@ -117,6 +138,16 @@ def _describe(name: str, declaration: Declaration) -> str:
     return f"{name} [{declaration.unit}]: {declaration.meaning}; {lower} to {upper}, {start}."
 
 
+def field_annotation(cls: type[Any], field: dataclasses.Field[Any]) -> Any:
+    """Return the type of a field, also where it is written as text.
+
+    Args:
+        cls: The class that has the field.
+        field: The field.
+    """
+    return get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
+
+
 def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx.Module]]:
     """Return the classes of modules in the type of a field: ``[Sheath]`` for ``sheath: Sheath | None``.
 
@@ -124,7 +155,7 @@ def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx
         cls: The class that has the field.
         field: The field.
     """
-    annotation = get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
+    annotation = field_annotation(cls, field)
     return [t for t in (annotation, *get_args(annotation)) if isinstance(t, type) and issubclass(t, eqx.Module)]
 
 
@@ -170,7 +201,11 @@ def parameter(
 
     Returns:
         The dataclass field, with a ``Declaration`` in its metadata.
+
+    Raises:
+        InputError: If unit or meaning are no texts, the bounds are not in order, or the default is not between them.
     """
+    check_declaration(unit, meaning, lower, upper, default)
     declaration = Declaration(unit, meaning, lower, upper, default, whole)
     metadata = {"declaration": declaration}
     if default is None:
@@ -290,6 +325,11 @@ def replace(plant: Any, values: Mapping[str, Any], *, ordered: bool = True) -> A
         InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds or not above
             its lower neighbour, or a value is ``None``, or an array of another type than float64 or an integer one.
     """
+    if not isinstance(values, Mapping):
+        raise InputError(
+            f"parameters are set by a dictionary such as {{'heat.h0': 100.0}}, not by an object of type "
+            f"{type(values).__name__}"
+        )
     table = all_declarations(plant) if values else {}
     for name, number in values.items():
         declared, value = _find(table, name), as_float(number)

@@ -47,6 +47,33 @@ class Declaration:
     whole: bool = False
 
 
+def check_declaration(unit: Any, meaning: Any, lower: Any, upper: Any, default: Any) -> None:
+    """Check the arguments of a declaration.
+
+    Args:
+        unit: Internal unit.
+        meaning: Meaning in a few words.
+        lower: Lower bound.
+        upper: Upper bound.
+        default: Default value; ``None`` or NaN for none.
+
+    Raises:
+        InputError: If unit or meaning are no texts, the bounds are not in order, or the default is not between them.
+    """
+    if not isinstance(unit, str) or not isinstance(meaning, str):
+        raise InputError(f"parameter({unit!r}, {meaning!r}): give unit and meaning as texts, such as 'W/m^2/K'")
+    numbers = (lower, upper, *(() if default is None else (default,)))
+    if not all(isinstance(number, float | int) for number in numbers):
+        raise InputError(f"parameter: {meaning}: give bounds and default as numbers, not as {numbers}")
+    if not lower < upper:
+        raise InputError(f"parameter: {meaning}: the lower bound {lower:g} is not below the upper one {upper:g}")
+    if default is not None and not math.isnan(default) and not lower <= default <= upper:
+        raise InputError(
+            f"parameter: {meaning}: the default {default:g} is not between the bounds: give one from {lower:g} to "
+            f"{upper:g}"
+        )
+
+
 def bounds_error(value: str, declaration: Declaration) -> str:
     """Return the sentence about a value outside of the bounds of its parameter.
 

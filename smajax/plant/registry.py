@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 
-from smajax.errors import InputError, missing_attributes, missing_methods, suggestion
+from smajax.errors import InputError, missing_attributes, missing_methods, shortened, suggestion
 from smajax.parameters import module_types
 
 Module = TypeVar("Module", bound=eqx.Module)
@@ -171,7 +171,8 @@ class Registry(Mapping[str, type[Module]]):
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             return "the name is not in small letters with hyphens: write it like 'my-law'"
         if not isinstance(cls, type):
-            return f"{cls!r} is not a class: give the class itself, without parentheses behind its name"
+            shown = shortened(" ".join(repr(cls).split()))
+            return f"{shown} is not a class: give the class itself, without parentheses behind its name"
         if not issubclass(cls, self.base):
             return f"{cls.__name__} is not of this kind: derive it from {self.base.__module__}.{self.base.__name__}"
         other = self.loaded.get(name)

@@ -88,11 +88,20 @@ class PlantStages(CellsAndGrains):
         Raises:
             InputError: If one is of another type; the message names classes that it may be of.
         """
+        if not isinstance(self.effects, tuple | list):
+            raise InputError(
+                f"{type(self).__name__}: effects is of type {type(self.effects).__name__}: give a tuple, such as "
+                "(LatentHeat(strength=1e8),) with a comma, or () for none"
+            )
         for name, (base, classes) in _STAGE_CLASSES.items():
             for stage in self.effects if name == "effects" else (getattr(self, name),):
                 if not isinstance(stage, base):
                     kind = f"the class {stage.__name__}" if isinstance(stage, type) else f"a {type(stage).__name__}"
                     raise InputError(f"{type(self).__name__}: {name} cannot be {kind}: give {classes}")
+        keys = [effect.key for effect in self.effects]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise InputError(f"{type(self).__name__}: effects has '{key}' twice: give each effect once")
 
     @property
     def signals(self) -> tuple[str, ...]:

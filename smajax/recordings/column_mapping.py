@@ -18,6 +18,12 @@ ROW_NUMBER_HEADERS = ("", "Unnamed: 0")
 _HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 
+class ColumnNote(str):
+    """Note of a recording on how a single column was read, which a table of the columns shows already."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True)
 class ChannelMap:
     """Column, scale and unit of a channel, as in ``[channels]`` of a rig file.
@@ -81,7 +87,8 @@ class ChannelMap:
         values = self._unlimited(numbers)
         count = np.count_nonzero((values < self.limits[0]) | (values > self.limits[1]))
         span = f"{self.limits[0]:.12g} to {self.limits[1]:.12g}"
-        return f"{count} of {len(values)} values of {channel} were limited to {span}, as the rig says" if count else ""
+        note = f"{count} of {len(values)} values of {channel} were limited to {span}, as the rig says"
+        return ColumnNote(note) if count else ""
 
     def _unlimited(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         return numbers * (self.factor / self.full_scale) + self.offset if self.is_scaled else numbers
@@ -221,10 +228,10 @@ def _mapped_column(
 ) -> FileColumn:
     mapped_unit = _column_unit(path, header, channel, source.unit or unit)
     differs = unit and unit.strip() != mapped_unit
-    note = f"column '{header}' was read in {mapped_unit}, as the rig says" if differs else ""
+    note = ColumnNote(f"column '{header}' was read in {mapped_unit}, as the rig says") if differs else ""
     if source.is_scaled:
         shown = "" if mapped_unit == "1" else f" {mapped_unit}"
-        note = f"{channel} was read as ({source.scale_text()}){shown} of column '{header}', as the rig says"
+        note = ColumnNote(f"{channel} was read as ({source.scale_text()}){shown} of column '{header}', as the rig says")
     scale = source if source.is_scaled or source.limits else None
     return FileColumn(index, header, channel, mapped_unit, source.any_scale, True, note, scale)
 

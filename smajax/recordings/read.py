@@ -22,6 +22,7 @@ from smajax.recordings.bad_rows import good_rows, impossible_values, split_rows
 from smajax.recordings.column_mapping import (
     ROW_NUMBER_HEADERS,
     ChannelMap,
+    ColumnNote,
     FileColumn,
     assign_columns,
     require_channels,
@@ -129,7 +130,9 @@ def read_recordings(
         changes |= {"columns": tuple(headers)} if headers is not None and is_file else {}
         options = (options or ReadOptions()).replace(**changes)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from None if is_file else error
+        if not is_file:  # a table in memory has no name
+            raise
+        raise InputError(f"{source}: {error}") from None
     needs_time = clock and (options.sample_period is None or isinstance(source, Recording))
     names = [*required, *observed, *(["time"] if needs_time else [])]
     request = _Request(mapping or {}, ignore, names, observed, options, clock)
@@ -254,7 +257,7 @@ def _load(
     notes: tuple[str, ...] = ()
     if has_row_numbers:
         _refuse_other_than_row_numbers(origin, arrays.pop(0))
-        notes = ("column 1, which has no header and counts the rows, was left out",)
+        notes = (ColumnNote("column 1, which has no header and counts the rows, was left out"),)
     scaled = [c.source.scaled(a) if c.source else a for c, a in zip(columns, arrays, strict=True)]
     limited = [c.source.limits_note(c.name, a) for c, a in zip(columns, arrays, strict=True) if c.source]
     notes += tuple(filter(None, limited))

@@ -7,6 +7,7 @@ arguments of ``read_recording``, ``Rig.read`` and ``thermal_cycle_properties``.
 import dataclasses
 import datetime
 import math
+import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
@@ -79,6 +80,7 @@ class ReadOptions:
         object.__setattr__(self, "sheet", self.sheet or ())
         if isinstance(self.sample_period, str):
             object.__setattr__(self, "sample_period", _period(self.sample_period))
+        self._check_types()
         self._check_layout()
         self._check_clock()
         _check_choice("on_bad_rows", self.on_bad_rows, ON_BAD_ROWS)
@@ -114,6 +116,17 @@ class ReadOptions:
         if len(self.sheet) == 1:
             table["sheet"] = self.sheet[0]
         return table
+
+    def _check_types(self) -> None:
+        """Check the types of texts and of the number of rows, which the checks of their values rely on."""
+        if not isinstance(self.skip_rows, numbers.Integral) or isinstance(self.skip_rows, bool):
+            raise InputError(f"skip_rows = {self.skip_rows!r}: give the number of rows before the header")
+        if isinstance(self.sample_period, bool) or not isinstance(self.sample_period, numbers.Real | None):
+            raise InputError(f'sample_period = {self.sample_period!r} is not a time: give one such as "20 ms"')
+        for name in ("delimiter", "decimal", "encoding", "time_format", "date_column", "variable", "clock_topic"):
+            value = getattr(self, name)
+            if not isinstance(value, str) and (value is not None or name in ("delimiter", "decimal")):
+                raise InputError(f"{name} = {value!r} is of type {type(value).__name__}: give a text")
 
     def _check_layout(self) -> None:
         if not 0 <= self.skip_rows <= MAX_SKIPPED_ROWS:

@@ -83,9 +83,14 @@ class Recording:
             units: Units in which the channels are written and reported; internal units by default.
 
         Raises:
-            InputError: If the shapes differ, or values are traced by JAX.
+            InputError: If there is no channel, a name is unknown, the shapes differ, or values are no numbers, or are
+                traced by JAX.
         """
+        if not channels:
+            raise InputError(f"{name}: there is no channel: give a dictionary with the array of each channel")
         columns = [*([] if time is None else ["time"]), *channels]
+        for channel in units:
+            channel_unit(channel)  # refuses a name that is not known
         units = {channel: units.get(channel, channel_unit(channel)) for channel in columns}
         rounded = {
             c: _as_in_file(_as_floats(values, f"{name}: channel '{c}'"), c, units[c]) for c, values in channels.items()
@@ -237,6 +242,8 @@ def _as_floats(values: Any, place: str) -> Floats:
     except Exception as error:
         if is_tracing_error(error):
             raise traced_values_error(place) from None
+        if isinstance(error, TypeError | ValueError):
+            raise InputError(f"{place}: these are no numbers: give an array of floats") from None
         raise
 
 

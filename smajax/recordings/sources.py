@@ -10,6 +10,8 @@ from smajax.recordings.recording import Recording
 
 # Name of a recording without a file; further ones are "recording 2" and so on.
 DEFAULT_NAME = "recording"
+# What messages ask for.
+TAKES = "give a path, a DataFrame, a dictionary of columns, an array with headers, or a Recording"
 
 
 class DataFrameLike(Protocol):
@@ -38,3 +40,14 @@ def as_source_list(sources: RecordingSource | Sequence[RecordingSource]) -> list
 def is_path(source: Any) -> bool:
     """Return whether a source is a path."""
     return isinstance(source, str | os.PathLike)
+
+
+def is_recording_source(source: Any) -> bool:
+    """Return whether a source is of a type from which a recording may be read.
+
+    Args:
+        source: The source.
+    """
+    if is_path(source) or isinstance(source, Recording | Mapping):
+        return True
+    return any(hasattr(source, name) for name in ("columns", "column_names", "__array__"))

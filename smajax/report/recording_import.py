@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from smajax.files.rig_draft import RigDraft
+from smajax.recordings.column_mapping import ColumnNote
 from smajax.recordings.recognition.answers import LEFT_OUT
+from smajax.recordings.recognition.column_choice import ColumnChoice
 from smajax.recordings.recognition.findings import Question
 from smajax.recordings.recognition.recognise import Recognition
 from smajax.recordings.recording import Recording
@@ -17,8 +19,6 @@ _LEAST_WIDTH = 40
 _CELL_WIDTH = 36
 # Recordings of a file that are listed.
 _MOST_RECORDINGS = 8
-# Ends of notes on a column that the table has.
-_OF_RIG, _OF_ROW_NUMBERS = "as the rig says", "which has no header and counts the rows, was left out"
 # Columns that are left out for the same reason, from which on they share a row of the table.
 _SHARED_FROM = 3
 
@@ -84,7 +84,7 @@ def _recording_lines(recordings: Sequence[Recording]) -> list[str]:
     for recording in recordings[:_MOST_RECORDINGS]:
         lines += wrap(repr(recording).strip("<>"), _WIDTH, subsequent_indent="  ")
         for note in recording.notes:
-            if note not in shown and not note.endswith((_OF_RIG, _OF_ROW_NUMBERS)):
+            if note not in shown and not isinstance(note, ColumnNote):
                 lines += wrap(f"  {note}", _WIDTH, subsequent_indent="  ")
                 shown.add(note)
     others = len(recordings) - _MOST_RECORDINGS
@@ -94,22 +94,19 @@ def _recording_lines(recordings: Sequence[Recording]) -> list[str]:
 def _column_rows(recognition: Recognition) -> list[tuple[str, str, str]]:
     """Return the rows of the table of columns; neighbours that are left out for the same reason share one."""
     rows: list[tuple[str, str, str]] = []
-    groups: list[list[tuple[str, str, str]]] = []
+    groups: list[list[ColumnChoice]] = []
     for column in recognition.columns:
-        text = "left out" if column.text == LEFT_OUT else column.text
-        reason = column.reason.partition(" (")[0] if text == "left out" else column.reason
-        row = (column.header or "(no name)", text, column.reason)
-        same = groups and groups[-1][-1][1] == text == "left out"
-        if same and groups[-1][-1][2].partition(" (")[0] == reason:
-            groups[-1].append(row)
+        if groups and groups[-1][-1].text == column.text == LEFT_OUT and groups[-1][-1].reason == column.reason:
+            groups[-1].append(column)
         else:
-            groups.append([row])
+            groups.append([column])
     for group in groups:
+        names = [column.header or "(no name)" for column in group]
         if len(group) < _SHARED_FROM:
-            rows += group
+            texts = ["left out" if column.text == LEFT_OUT else column.text for column in group]
+            rows += zip(names, texts, [column.full_reason for column in group], strict=True)
         else:
-            names = f"{group[0][0]} to {group[-1][0]}"
-            rows.append((names, f"left out ({len(group)})", group[0][2].partition(" (")[0]))
+            rows.append((f"{names[0]} to {names[-1]}", f"left out ({len(group)})", group[0].reason))
     return rows
 
 

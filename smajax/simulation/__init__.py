@@ -4,6 +4,6 @@
 takes the steps; ``sensitivities`` adds the tangents by the implicit function theorem; ``run`` holds the functions that
 others call: trajectories, channels, batches; ``vector_field`` has the plant's rates, and ``integration`` integrates
 them by diffrax; ``status`` says how a simulation ended; ``diagnostics`` shows a plant's parameters in error messages;
-``argument_checks`` says what the functions take. What serves the compiler only (blocks, flat states, programs traced
-once) is in ``compilation``.
+``argument_checks`` has what the functions take, in words. What serves the compiler only (blocks, flat states, programs
+traced once) is in ``compilation``.
 """

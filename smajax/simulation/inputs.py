@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from smajax.arguments import check_duration, check_type
 from smajax.errors import InputError, suggestion
 from smajax.numerics.precision import require_double
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
 from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
-from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
+from smajax.simulation.argument_checks import A_RECORDING, as_array, check_plant
 from smajax.simulation.step_size import default_step
 
 # Steps per full range of a linear input: an interval between samples over which it changes by a tenth of its range gets
@@ -85,13 +86,16 @@ class Inputs(eqx.Module):
             factor: One factor, or one for each signal in the order of ``Plant.signals``.
 
         Raises:
-            InputError: If the factor is of single precision.
+            InputError: If the factor is of single precision, or of another type or shape.
         """
         require_double(factor=factor)
         count = self.before.shape[-1] - len(self.surroundings)
+        factors = as_array("scale", "factor", factor, "a number, or one for each signal of the plant")
+        if factors.shape not in ((), (count,)):
+            raise InputError(f"scale: factor has shape {factors.shape}: give a number, or an array of shape ({count},)")
 
         def scaled(signals: jax.Array) -> jax.Array:
-            product = jnp.asarray(factor) * signals[..., :count]
+            product = factors * signals[..., :count]
             return jnp.concatenate([product, signals[..., count:]], axis=-1) if self.surroundings else product
 
         before, after, sample_signals = map(scaled, (self.before, self.after, self.sample_signals))
@@ -206,15 +210,15 @@ def discretise(
             recordings have one shape; by default those of the recording.
 
     Raises:
-        InputError: If an argument is of another type or of single precision, the recording lacks a channel, the
-            interpolation is unknown, or the step depends on a traced plant.
+        InputError: If an argument is of another type or of single precision, the recording lacks a channel, a row
+            or a value, its time decreases, the interpolation is unknown, or the step is not above 0 or depends on a
+            traced plant.
     """
-    check_type("discretise", "plant", plant, Plant, A_PLANT)
-    require_double(plant=plant)
+    check_plant("discretise", plant)
     check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
-    if interpolation not in _INTERPOLATIONS:
-        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
+    _check_rows(plant, recording)
+    _check_options(interpolation, step)
     time = recording.time
     pieces = _steps_per_sample(plant, recording, interpolation, step)
     indices = np.concatenate([[0], np.cumsum(pieces)])
@@ -268,6 +272,35 @@ def _check_channels(plant: Plant, recording: Recording) -> None:
             raise InputError(
                 f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, "
                 f"which drives the plant: add a column '{name}' (it has {columns})"
+            )
+
+
+def _check_options(interpolation: str, step: float | None) -> None:
+    """Check the options of a grid."""
+    if interpolation not in _INTERPOLATIONS:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
+    if step is not None:
+        check_duration("discretise", "step", step)
+
+
+def _check_rows(plant: Plant, recording: Recording) -> None:
+    """Check that a recording has two rows, times that do not decrease, and a number for each signal in every row."""
+    time = recording.time
+    if len(time) < 2:
+        raise InputError(f"{recording.name}: the number of rows is {len(time)}: a simulation needs at least two")
+    wrong = np.flatnonzero(~(np.diff(time) >= 0.0))
+    if len(wrong):
+        row = int(wrong[0]) + 1
+        raise InputError(
+            f"{recording.name}: row {row}: time does not increase, from {time[row - 1]:g} s to {time[row]:g} s: sort "
+            "the rows, and leave out what repeats"
+        )
+    for name in plant.signals:
+        missing = np.flatnonzero(~np.isfinite(recording.channels[name]))
+        if len(missing):
+            raise InputError(
+                f"{recording.name}: row {missing[0]}: channel '{name}', which drives the plant, is "
+                f"{recording.channels[name][missing[0]]}: give a number, or leave out the row"
             )
 
 

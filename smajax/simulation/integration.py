@@ -65,6 +65,11 @@ def check_adjoint(adjoint: dfx.AbstractAdjoint | None) -> None:
     Raises:
         InputError: If it cannot.
     """
+    if adjoint is not None and not isinstance(adjoint, dfx.AbstractAdjoint):
+        shown = adjoint.__name__ if isinstance(adjoint, type) else repr(adjoint)
+        raise InputError(
+            f"simulate: adjoint = {shown} is not an adjoint of diffrax: give one, such as diffrax.ForwardMode()"
+        )
     if isinstance(adjoint, dfx.ImplicitAdjoint | dfx.BacksolveAdjoint):
         raise InputError(
             f"simulate: adjoint {type(adjoint).__name__} needs a steady state or an input without jumps: give "

@@ -12,18 +12,22 @@ A signal has one entry for each of ``plant.signals``. It may have more: the ambi
 ``environment.ambient`` in the heat balance, and then the duty of a fan.
 """
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from smajax.arguments import check_type
 from smajax.errors import InputError
 from smajax.numerics.precision import require_double
+from smajax.parameters.checks import is_concrete
 from smajax.plant.plant import Plant
 from smajax.plant.stages import SURROUNDINGS
 from smajax.plant.state import State
-from smajax.simulation.argument_checks import A_PLANT, A_STATE, check_type
+from smajax.simulation.argument_checks import A_STATE, as_array, check_plant
 from smajax.simulation.time_stepping import simulation_status
 
 
@@ -81,7 +85,8 @@ def step(
     start = after if before is None else _signal(plant, before, "step")
     check_type("step", "state", state, State, A_STATE)
     require_double(state=state, dt=dt)
-    end, unsolved = plant.step(state, start, after, jnp.asarray(dt, float))
+    duration = _duration(dt)
+    end, unsolved = plant.step(state, start, after, duration)
     return end, StepInfo(simulation_status(end, unsolved, jnp.max(end.temperature)))
 
 
@@ -107,10 +112,20 @@ def observe(plant: Plant, state: State, signal: ArrayLike) -> dict[str, Float[Ar
     return plant.observe(state, signals)
 
 
+def _duration(dt: ArrayLike) -> Float[Array, ""]:
+    """The duration of a step; one that JAX does not trace is at least 0."""
+    duration = as_array("step", "dt", dt, "the duration of the step in s")
+    if duration.shape:
+        raise InputError(f"step: dt has shape {duration.shape}: give one duration, and map over several by jax.vmap")
+    if is_concrete(duration) and not 0.0 <= float(duration) < math.inf:
+        raise InputError(f"step: dt = {float(duration):g} s is not possible: give a duration of at least 0 s")
+    return duration
+
+
 def _signal(plant: Plant, signal: ArrayLike, function: str) -> Float[Array, " signals"]:
     """The signals as an array of double precision, after checks of plant and shape."""
-    check_type(function, "plant", plant, Plant, A_PLANT)
-    require_double(plant=plant, signal=signal)
+    check_plant(function, plant)
+    require_double(signal=signal)
     sizes = range(len(plant.signals), len(plant.signals) + len(SURROUNDINGS) + 1)
     if np.shape(signal) not in [(size,) for size in sizes]:
         raise InputError(

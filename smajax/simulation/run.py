@@ -17,13 +17,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from smajax import parameters
+from smajax.arguments import check_type
 from smajax.errors import InputError, NumericsError
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
-from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
+from smajax.simulation.argument_checks import A_RECORDING, check_plant
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
@@ -263,14 +264,14 @@ def simulate(
 def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | None, step: float | None) -> Inputs:
     """The inputs of a simulation on a grid, after checks of types and shape."""
     name = "simulate"
-    check_type(name, "plant", plant, Plant, A_PLANT)
+    check_plant(name, plant)
     takes = f"Inputs, as discretise returns them, or {A_RECORDING}"
     check_type(name, "inputs", inputs, Inputs | Recording, takes)
     if isinstance(inputs, Recording):
         name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
     elif step is not None or interpolation is not None:
         raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
-    require_double(plant=plant, inputs=inputs)
+    require_double(inputs=inputs)
     signals = inputs.before.shape[-1] - len(inputs.surroundings)
     if signals != len(plant.signals):
         raise InputError(

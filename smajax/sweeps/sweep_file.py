@@ -36,6 +36,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, Field
 
 from smajax import __version__
+from smajax.arguments import MAX_SEED
 from smajax.errors import InputError
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, validate
 from smajax.files.validators import one_of
@@ -60,7 +61,7 @@ class _Sweep(BaseModel):
     rig: str = Field(examples=['"rig.toml"'])
     sampling: Annotated[str, one_of(SAMPLINGS)] = "sobol"
     designs: int = Field(1024, ge=1, le=_MAX_DESIGNS, examples=["1024"])
-    seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
+    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])
     chunk: int = Field(DEFAULT_CHUNK, ge=1, le=1_000_000, examples=["1024"])
     metrics: list[str] | None = Field(None, examples=['["stroke", "efficiency"]'])
     gradients: bool = Field(False, examples=["true"])

@@ -10,6 +10,7 @@ from tests.conftest import ROOT
 # The order of ARCHITECTURE: top modules, then the rooms from numerics to app.
 ROOMS = (
     ("errors",),
+    ("arguments",),
     ("channels",),
     ("unit_parser",),
     ("units",),

@@ -8,7 +8,6 @@ from typer.core import TyperCommand
 
 from smajax.app.command_line.options import (
     DEFAULT_MAX_STEPS,
-    MAX_STARTS,
     MAX_STEPS,
     Json,
     Open,
@@ -21,6 +20,7 @@ from smajax.app.command_line.options import (
 )
 from smajax.app.command_line.reading import NO_CHANGES, Reading, rig_with_reading, with_reading
 from smajax.app.command_line.run import argv, finish_run, start_run
+from smajax.arguments import MAX_STARTS
 
 
 class FitCommand(TyperCommand):

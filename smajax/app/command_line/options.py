@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-# Largest seed of NumPy's and JAX's random generators, and largest number of starting points, as in a rig file.
-_MAX_SEED = 2**32 - 1
-MAX_STARTS = 10_000
+from smajax.arguments import MAX_SEED
+
 # ``smajax.fitting.fit.MAX_STEPS``, which ``smajax --help`` does not import.
 DEFAULT_MAX_STEPS = 100
 # Larger numbers are typing errors: fits of rigs that converge take 5 to 60 steps.
@@ -21,7 +20,7 @@ Out = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no summary.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
 Seed = Annotated[
-    int | None, typer.Option("--seed", min=0, max=_MAX_SEED, help="Seed of random numbers (default: the rig's).")
+    int | None, typer.Option("--seed", min=0, max=MAX_SEED, help="Seed of random numbers (default: the rig's).")
 ]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")]
 Start = Annotated[

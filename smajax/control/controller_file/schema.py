@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
 
+from smajax.arguments import MAX_SEED
 from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.errors import InputError
 from smajax.files.toml import STRICT, validate
@@ -83,7 +84,7 @@ class TuneSection(BaseModel):
     objective: Any = Field("tracking", examples=['"tracking"'])
     bounds: dict[str, Any] = Field({}, examples=['{ kp = ["1 A/m", "500 A/m"] }'])
     starts: int = Field(4, ge=1, le=1000, examples=["4"])
-    seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
+    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])
     band: Any = Field("2 %", examples=['"2 %"'])
 
 

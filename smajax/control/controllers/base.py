@@ -10,7 +10,6 @@ limits of its command.
 import abc
 import dataclasses
 import inspect
-import math
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 import equinox as eqx
@@ -19,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.errors import InputError, suggestion
+from smajax.arguments import check_duration
+from smajax.errors import InputError, missing_members, shortened, suggestion
 from smajax.parameters import CheckedModule, declarations
 from smajax.parameters.checks import is_concrete
 
@@ -63,8 +63,7 @@ class AbstractController(CheckedModule):
         name = type(self).__name__
         if is_concrete(self.lower) and is_concrete(self.upper) and np.any(self.lower > self.upper):
             raise InputError(f"{name}: lower = {self.lower:g} is above upper = {self.upper:g}: exchange the two")
-        if not 0.0 < self.period < math.inf:
-            raise InputError(f"{name}: period = {self.period:g} s is not possible: give a time above 0 s")
+        check_duration(name, "period", self.period)
         for field in dataclasses.fields(self):
             value, choices = getattr(self, field.name), get_args(field.type)
             if get_origin(field.type) is Literal and value not in choices:
@@ -161,10 +160,10 @@ def check_controller_class(cls: Any) -> None:
         InputError: if it is no class derived from ``AbstractController``, or lacks methods or fields.
     """
     if not (inspect.isclass(cls) and issubclass(cls, AbstractController)):
-        raise InputError(f"{cls!r} is not a controller: give a class derived from AbstractController")
-    missing = sorted([*cls.__abstractmethods__, *cls.__abstractvars__])
-    if missing:
-        raise InputError(f"{cls.__name__} is not a complete controller: it lacks {', '.join(missing)}")
+        shown = shortened(repr(cls)) if inspect.isclass(cls) else f"an object of type {type(cls).__name__}"
+        raise InputError(f"{shown} is not a controller: give a class derived from AbstractController")
+    if missing := missing_members(cls):
+        raise InputError(f"{cls.__name__} is not a complete controller: {missing}")
 
 
 def require_controller(controller: object) -> None:

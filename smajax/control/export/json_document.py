@@ -65,7 +65,7 @@ def controller_document(owner: AbstractController | ClosedLoop, units: Mapping[s
     inverse, constants, lone = feedforward_inverse(controller), controller.constants(), jnp.zeros(())
     for name in gains(owner):
         if name not in units:
-            raise InputError(f"the gain '{name}' has no unit: give one of {', '.join(gains(owner))} each a unit")
+            raise InputError(f"the gain '{name}' has no unit: give a unit for each of {', '.join(gains(owner))}")
     state = jax.eval_shape(controller.reset, lone, lone)
     document = {
         "schema": SCHEMA,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.control.controllers.base import AbstractController, require_controller
+from smajax.control.controllers.step_check import check_step
 from smajax.control.estimators.base import AbstractFilter, AbstractTemperatureEstimator, per_wire
 from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.loop.allocation import Allocation
@@ -53,6 +54,15 @@ class LoopState(NamedTuple):
     measurement: Any
     limiters: Any
     hold: DropoutHold | None
+
+
+def _ends(limits: Any) -> tuple[jax.Array, jax.Array]:
+    """The smallest and the largest command."""
+    try:
+        lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
+    except (TypeError, ValueError):
+        raise InputError(f"limits = {limits!r}: give two numbers, the smallest and the largest command") from None
+    return lower, upper
 
 
 class ClosedLoop(eqx.Module):
@@ -117,12 +127,14 @@ class ClosedLoop(eqx.Module):
             allow_dropouts: Whether the controlled channel may be NaN.
 
         Raises:
-            InputError: if ``controller`` is not one; if the parts have different periods; if the limits are not in
-                order; or if ``use_estimate`` is set without a filter of the whole plant, or with ``allow_dropouts``.
+            InputError: if ``controller`` is not one, or does not return what it should; if the parts have different
+                periods; if the limits are not in order; or if ``use_estimate`` is set without a filter of the whole
+                plant, or with ``allow_dropouts``.
         """
         require_controller(controller)
+        check_step(controller)
         if limits is not None:
-            lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
+            lower, upper = _ends(limits)
             if is_concrete(lower) and is_concrete(upper) and lower >= upper:
                 raise InputError(f"limits = ({lower:g}, {upper:g}): the first command has to be below the second")
             controller = controller.with_limits(lower, upper)

@@ -24,6 +24,7 @@ from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from smajax.arguments import check_duration, check_type
 from smajax.channels import channel_of
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.sampled_plant import AbstractSampledSystem, SampledPlant
@@ -34,7 +35,7 @@ from smajax.numerics.implicit_differentiation import jvp
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
-from smajax.simulation.argument_checks import A_PLANT, check_type
+from smajax.simulation.argument_checks import A_PLANT, as_array, check_plant
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 
 # Channels that follow the command without delay; the others change in the course of the period.
@@ -82,10 +83,10 @@ class Scenario(eqx.Module):
             InputError: if the reference is not a series of values, or something is of single precision.
         """
         require_double(reference=reference, initial_reference=initial_reference, changes=changes)
-        reference = jnp.asarray(reference, jnp.float64)
+        reference = as_array("rollout", "reference", reference, "one value for each sample, or a Scenario")
         if reference.ndim != 1 or not reference.shape[0]:
             raise InputError(f"the reference has the shape {reference.shape}: give one value for each sample")
-        initial = jnp.asarray(initial_reference, jnp.float64)
+        initial = as_array("rollout", "initial_reference", initial_reference, "a number")
         arrays = {name: jnp.asarray(values, jnp.float64) for name, values in (changes or {}).items()}
         return cls(reference, initial, jnp.zeros_like(reference), arrays)
 
@@ -156,9 +157,13 @@ def rollout(
     """
     check_type("rollout", "system", system, Plant | AbstractSampledSystem, f"{A_PLANT}, or a SampledPlant")
     check_type("rollout", "loop", loop, ClosedLoop, "a ClosedLoop, such as ClosedLoop(controller, channel=...)")
+    if isinstance(system, Plant):
+        check_plant("rollout", system)
     require_double(system=system, loop=loop, reference=reference, initial_reference=initial_reference)
     if period is not None:
         check_same_period("rollout", period, "controller", loop.period)
+    if step is not None:
+        check_duration("rollout", "step", step)
     sampled = _sampled(system, loop.period, step)
     loop = loop.for_wires(sampled.wires)
     result = _compiled_simulation(sampled, loop, _scenario(sampled, loop, reference, initial_reference))

@@ -14,6 +14,7 @@ import numpy as np
 from smajax.errors import InputError, first_line, shortened
 from smajax.recordings.readers.base import Table, refuse_if_too_large, repair_hint
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps, seconds_of_times
+from smajax.recordings.sources import TAKES
 from smajax.recordings.traced_values import is_tracing_error, traced_values_error
 
 # Header of the times that an index of dates or durations has.
@@ -195,8 +196,7 @@ def _array_columns(source: Any, headers: Sequence[str] | None) -> list[tuple[Any
     array: Any = _to_array(source, "the array") if isinstance(source, list) and headers is not None else source
     shape = getattr(array, "shape", None)
     if not isinstance(shape, tuple) or not hasattr(array, "__array__"):
-        takes = "give a path, a DataFrame, a dictionary of columns, an array with headers, or a Recording"
-        raise InputError(f"a recording cannot be read from an object of type {type(source).__name__}: {takes}")
+        raise InputError(f"a recording cannot be read from an object of type {type(source).__name__}: {TAKES}")
     if headers is None:
         cure = "add headers=['time [s]', 'current [A]', ...], or give a dictionary of columns"
         raise InputError(f"the array: its columns have no names: {cure}")

@@ -118,8 +118,7 @@ def _with_unit(choice: ColumnChoice, values: Floats, is_stamp: bool) -> ColumnCh
     if source.unit:
         reason = choice.reason if choice.is_answer else f"{choice.reason}; the unit is {source.unit}"
         return dataclasses.replace(choice, reason=reason)
-    word = choice.reason.split("'")[1] if "'" in choice.reason else choice.header
-    scale = time_scale(word, values[np.isfinite(values)])
+    scale = time_scale(choice.word or choice.header, values[np.isfinite(values)])
     source = dataclasses.replace(source, unit=scale.unit)
     question = None
     if scale.doubt:

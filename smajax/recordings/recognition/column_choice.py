@@ -1,6 +1,7 @@
 """What one column is taken for, by its header and its values."""
 
-from dataclasses import dataclass
+import dataclasses
+from typing import Literal
 
 import numpy as np
 
@@ -20,13 +21,11 @@ from smajax.recordings.unit_checks import looks_like_kelvin
 
 # Share of the rows in which a column has to have a number.
 _LEAST_NUMBERS = 0.5
-COUNTS_ROWS = "it counts the rows"
-UNKNOWN = "its name says no channel"
 # Words for a length that grows, where the displacement of smajax is positive when the wire shortens.
 _LENGTHENING = ("extension", "elongation", "extensometer", "crosshead")
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ColumnChoice:
     """What a column is taken for.
 
@@ -39,6 +38,9 @@ class ColumnChoice:
         question: The doubt; ``None`` without one.
         by_unit: Whether only the unit says the channel.
         is_answer: Whether the user has decided.
+        code: What ``reason`` is, where others ask for it: the header is unknown, or the column counts the rows.
+        word: Word of the header that says the channel; empty without one.
+        values: Range of the values in words, which is shown after ``reason``; empty for none.
     """
 
     index: int
@@ -49,6 +51,14 @@ class ColumnChoice:
     question: Question | None = None
     by_unit: bool = False
     is_answer: bool = False
+    code: Literal["", "unknown", "counts-rows"] = ""
+    word: str = ""
+    values: str = ""
+
+    @property
+    def full_reason(self) -> str:
+        """The reason with the range of the values."""
+        return f"{self.reason} ({self.values})" if self.values else self.reason
 
     @property
     def text(self) -> str:
@@ -76,20 +86,21 @@ def choose_column(index: int, header: str, values: Floats, answer: str | None) -
     if not len(numbers):
         return _left_out(index, header, "it has no numbers")
     if reading.is_row_number and _counts_rows(values):
-        return _left_out(index, header, COUNTS_ROWS)
+        return dataclasses.replace(_left_out(index, header, "it counts the rows"), code="counts-rows")
     if reading.other_quantity:
         reason = f"'{reading.other_quantity}' says that it is not what was measured or applied"
         return _left_out(index, header, reason)
     if reading.is_command:
         return _command(index, header, numbers)
     if reading.channel is None:
-        return _left_out(index, header, f"{UNKNOWN} ({range_text(numbers)})")
+        choice = _left_out(index, header, "its name says no channel")
+        return dataclasses.replace(choice, code="unknown", values=range_text(numbers))
     if len(numbers) < _LEAST_NUMBERS * len(values):
         text = f"only {len(numbers)} of {len(values)} rows have a number"
         return _left_out(index, header, text, _question(header, text, LEFT_OUT, (_example(reading.channel),)))
     if reading.channel == "time":
-        unit = reading.unit
-        return ColumnChoice(index, header, "time", ChannelMap(header, unit), f"'{reading.word}' says time")
+        source, word = ChannelMap(header, reading.unit), reading.word
+        return ColumnChoice(index, header, "time", source, f"'{word}' says time", word=word)
     return _measured(index, header, numbers, reading)
 
 
@@ -134,8 +145,13 @@ def _scale_in_unit(kind: str, unit: str, text: str, numbers: Floats) -> Scale:
 def _command(index: int, header: str, numbers: Floats) -> ColumnChoice:
     """Return the choice of a column that names a command without a quantity: a duty where its values may be one."""
     if numbers.min() < 0:
-        text = f"it names a command, whose quantity is not known ({range_text(numbers)})"
-        return _left_out(index, header, text, _question(header, text, LEFT_OUT, ("current [A]", "voltage [V]")))
+        reason, values = "it names a command, whose quantity is not known", range_text(numbers)
+        text = f"{reason} ({values})"
+        return dataclasses.replace(
+            _left_out(index, header, reason),
+            values=values,
+            question=_question(header, text, LEFT_OUT, ("current [A]", "voltage [V]")),
+        )
     scale = scale_of("duty", numbers)
     others = (*(f"duty {other}" for other in scale.others), "voltage [V]", "current [A]", LEFT_OUT)
     if not scale.unit:

@@ -17,7 +17,7 @@ from smajax.recordings.recognition.answers import LEFT_OUT, check_headers
 from smajax.recordings.recognition.bad_row_question import bad_row_question
 from smajax.recordings.recognition.channel_choice import DRIVING, choose_channels
 from smajax.recordings.recognition.clock import choose_clock, period_question
-from smajax.recordings.recognition.column_choice import COUNTS_ROWS, UNKNOWN, ColumnChoice, choose_column
+from smajax.recordings.recognition.column_choice import ColumnChoice, choose_column
 from smajax.recordings.recognition.findings import Finding, Question
 from smajax.recordings.recognition.header_words import is_own_header
 from smajax.recordings.recognition.text_layout import Layout
@@ -182,7 +182,7 @@ def _with_questions(choices: Sequence[ColumnChoice], values: Mapping[int, Floats
     """Return the choices with a question for the first columns that have numbers and are not recognised."""
     result = list(choices)
     open_choices = [c for c in choices if c.channel is None and not c.question and not c.is_answer]
-    unknown = [c for c in open_choices if c.reason.startswith(UNKNOWN)]
+    unknown = [c for c in open_choices if c.code == "unknown"]
     for choice in unknown[:_MAX_ASKED]:
         numbers = values[choice.index][np.isfinite(values[choice.index])]
         name = "its name does not say what it is, and" if named else "it has no name, and"
@@ -214,4 +214,4 @@ def _bad_rows(
 
 
 def _is_row_number(choice: ColumnChoice) -> bool:
-    return choice.header in ROW_NUMBER_HEADERS and choice.reason == COUNTS_ROWS
+    return choice.header in ROW_NUMBER_HEADERS and choice.code == "counts-rows"

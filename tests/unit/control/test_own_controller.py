@@ -258,3 +258,30 @@ def test_options_that_a_file_cannot_give_are_named(tmp_path, cls, sentence):
             read_controller(tmp_path / "c.toml", read_rig(RIG))
     finally:
         CONTROLLERS.unregister("own-options")
+
+
+@pytest.mark.parametrize(
+    ("state", "result", "sentence"),
+    [
+        (0.0, lambda state: state, "step has to return two things: write return state, command"),
+        (
+            0.0,
+            lambda state: ((state, state), 0.1),
+            r"one of shapes \(\(\), \(\)\) in place of one of shapes \(\): make",
+        ),
+        (np.zeros(2), lambda state: (jnp.zeros(3), 0.1), r"one of shapes \(3,\) in place of one of shapes \(2,\)"),
+        ("off", lambda state: (state, 0.1), "reset returns a state with a str: give numbers, flags or arrays"),
+        (0.0, lambda state: (state, jnp.zeros(1)), r"step returns a command of shape \(1,\): return one number"),
+        (0.0, lambda state: (state, None), "step returns None: return one number as the command"),
+    ],
+)
+def test_what_a_controller_returns_is_checked_in_words(state, result, sentence):
+    class Wrong(DeadBandPI):
+        def reset(self, reference, value):
+            return state
+
+        def step(self, state, reference, value):
+            return result(state)
+
+    with pytest.raises(InputError, match=f"^Wrong: .*{sentence}"):
+        ClosedLoop(Wrong(1.0, 1.0, 0.0, period=PERIOD), channel="displacement")

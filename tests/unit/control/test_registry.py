@@ -55,7 +55,16 @@ def test_a_registered_class_is_found_by_its_name():
         ("My Controller", Plain, "controller 'My Controller': the name is not in small letters with hyphens"),
         ("number", 3, "3 is not a class: give the class itself"),
         ("a-dict", dict, "dict is not of this kind: derive it from"),
-        ("abstract", AbstractController, "it lacks lower, period, reset, step, upper"),
+        (
+            "abstract",
+            AbstractController,
+            "define 'lower', 'period', 'upper' in the body of the class; define the methods",
+        ),
+        (
+            "an-instance",
+            Plain(1.0, period=0.1),
+            r"controller 'an-instance': Plain\(.* is not a class: give the class itself",
+        ),
     ],
 )
 def test_what_cannot_be_registered(name, cls, sentence):
@@ -155,7 +164,7 @@ def test_the_document_of_an_own_controller_that_is_not_registered_has_the_name_o
         """Proportional controller."""
 
     own = Unregistered(kp=2.0, period=0.1)
-    with pytest.raises(InputError, match="^the gain 'kp' has no unit: give one of kp each a unit$"):
+    with pytest.raises(InputError, match="^the gain 'kp' has no unit: give a unit for each of kp$"):
         controller_document(own, {})
     document = controller_document(own, {"kp": "A/m"})
     assert document["kind"] == "Unregistered" and document["gains"]["kp"]["value"] == 2.0

@@ -8,6 +8,7 @@ import pytest
 
 import smajax as sma
 from smajax.errors import InputError
+from smajax.recordings.column_mapping import ChannelMap, ColumnNote
 from smajax.recordings.recognition.answers import answer_text, answers_by_header, parse_answer
 from smajax.recordings.recognition.clock import time_scale
 from smajax.recordings.recognition.header_words import read_header
@@ -225,6 +226,18 @@ def test_constant_empty_and_repeated_columns_are_left_out(tmp_path):
     assert reasons["duty_b"] == "it is 0 in every row, while column 'duty_a' changes"
     assert reasons["temp copy"] == "it repeats column 'temp'"
     assert reasons["strain"] == "it has no numbers"
+
+
+def test_the_kind_of_a_reason_is_a_code_and_notes_on_columns_are_of_their_own_class(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(table({"": lambda t: np.arange(len(t)), "time": TIMES, "temp": temperature, "zz": lambda t: t % 7}))
+    choices = {c.header: c for c in recognise(path, {}, {}).columns}
+    assert (choices[""].code, choices["temp"].code, choices["zz"].code) == ("counts-rows", "", "unknown")
+    assert choices["zz"].reason == "its name says no channel" and choices["zz"].full_reason.endswith(")")
+    assert choices["time"].word == "time"
+    mapping = {"temperature": ChannelMap("temp", "degC"), "time": ChannelMap("time", "s")}
+    notes = sma.read_recording(path, mapping=mapping, ignore=["zz"]).notes
+    assert [type(note) for note in notes if "counts the rows" in note] == [ColumnNote]
 
 
 def test_columns_of_several_wires_are_numbered_and_own_names_stay(tmp_path):
