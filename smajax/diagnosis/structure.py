@@ -293,7 +293,7 @@ def compare_variants(
 def clearly_better(
     evaluator: CandidateEvaluator, fit: CandidateFit, other_evaluator: CandidateEvaluator, other: CandidateFit
 ) -> bool:
-    """Return whether another fit predicts the selection split better by at least 5 %, and both splits beyond chance.
+    """Return whether another fit predicts the selection split better, and both splits by at least 5 % and beyond chance.
 
     The errors of a rough rig lie in few short spans, so that the selection split alone says little about chance.
 
@@ -307,6 +307,8 @@ def clearly_better(
         return False
     if not math.isfinite(fit.select_chi2):
         return True
+    if other.select_chi2 >= fit.select_chi2:
+        return False
     residuals = [
         np.concatenate(
             [
@@ -316,7 +318,7 @@ def clearly_better(
         )
         for e, f in ((evaluator, fit), (other_evaluator, other))
     ]
-    cut = 1.0 - math.sqrt(other.select_chi2 / fit.select_chi2)
+    cut = 1.0 - math.sqrt(other.total_chi2 / fit.total_chi2)
     return cut >= MIN_SELECT_CUT and bootstrap_cut(residuals[0], residuals[1], evaluator.seed)[0] > 0.0
 
 
