@@ -293,7 +293,7 @@ def compare_variants(
 def clearly_better(
     evaluator: CandidateEvaluator, fit: CandidateFit, other_evaluator: CandidateEvaluator, other: CandidateFit
 ) -> bool:
-    """Return whether another fit predicts the selection split better, and both splits by at least 5 % and beyond chance.
+    """Return whether another fit predicts the selection split better, and both by at least 5 % and beyond chance.
 
     The errors of a rough rig lie in few short spans, so that the selection split alone says little about chance.
 
