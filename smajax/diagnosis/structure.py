@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from smajax import parameters
 from smajax.diagnosis.acceptance import MIN_SELECT_CUT
 from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
@@ -58,8 +59,9 @@ _START_ANGLE = 0.5 * math.pi
 UNEVEN = "cells.uneven_convection"
 _START_UNEVEN = (0.01, -0.01)
 _LARGEST_UNEVEN = 0.1
-# Parameters of the variants without cells: the lower bound of the conductivity along the wire, W/m/K, and even cooling.
-_WITHOUT_CELLS = {"cells.conductivity": declarations(Cells)["conductivity"].lower, UNEVEN: 0.0}
+# Parameters of the variants without cells: even cooling, and hardly any conduction along the wire and into its clamps.
+_INSULATING = ("conductivity", "clamp_conductance", "clamp_capacity")
+_WITHOUT_CELLS = {f"cells.{name}": declarations(Cells)[name].lower for name in _INSULATING} | {UNEVEN: 0.0}
 # Reduced chi-squared of training or selection split from which on the structure is fitted: 1.5 times the noise.
 # Chosen by trial.
 ASK_FROM = 2.25
@@ -140,8 +142,8 @@ def with_structure(plant: Plant, cells: int = CELLS, grains: int = GRAINS) -> Pl
         grains: Number of grains in each.
     """
     along = None if isinstance(plant.heat, PrescribedTemperature) else Cells(count=cells)
-    spreads, angle = (jnp.asarray(_START_SPREADS[0]),) * 2, jnp.asarray(_START_ANGLE)
-    return dataclasses.replace(plant, cells=along, grains=Grains(*spreads, correlation_angle=angle, count=grains))
+    spreads = (jnp.asarray(_START_SPREADS[0]),) * 2
+    return dataclasses.replace(plant, cells=along, grains=Grains(*spreads, count=grains))
 
 
 def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
@@ -151,7 +153,7 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
         problem: The problem without structure.
         state: The state at the end of its forward selection, whose best effects are the candidates.
     """
-    plant = with_structure(problem.base_problem.plant)
+    plant = parameters.replace(with_structure(problem.base_problem.plant), {ANGLE: _START_ANGLE})
     free = (*problem.settings.free, *SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()))
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     structured = DiagnosisProblem(
