@@ -12,7 +12,7 @@ from smajax.errors import InputError, shortened
 
 # Largest seed of NumPy's and JAX's random generators.
 MAX_SEED = 2**32 - 1
-# Larger numbers of starting points are typing errors: fits need 1 to 100.
+# Largest number of starting points. Chosen by trial.
 MAX_STARTS = 10_000
 
 

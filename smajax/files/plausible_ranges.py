@@ -60,7 +60,7 @@ class ImplausibleValue(NamedTuple):
         low, high = as_text(self.plausible.lower, self.unit), as_text(self.plausible.upper, self.unit)
         return (
             f"implausible: {self.name} = {as_text(float(f'{self.value:.4g}'), self.unit)} lies outside of {low} to "
-            f"{high}, what an alloy can have: the model may lack an effect, or the recordings may not determine it."
+            f"{high}, the plausible range: the model may lack an effect, or the recordings may not determine it."
         )
 
 

@@ -203,7 +203,7 @@ def parameter(
         The dataclass field, with a ``Declaration`` in its metadata.
 
     Raises:
-        InputError: If unit or meaning are no texts, the bounds are not in order, or the default is not between them.
+        InputError: If unit or meaning is not a string, the bounds are not in order, or the default is not between them.
     """
     check_declaration(unit, meaning, lower, upper, default)
     declaration = Declaration(unit, meaning, lower, upper, default, whole)

@@ -58,10 +58,10 @@ def check_declaration(unit: Any, meaning: Any, lower: Any, upper: Any, default: 
         default: Default value; ``None`` or NaN for none.
 
     Raises:
-        InputError: If unit or meaning are no texts, the bounds are not in order, or the default is not between them.
+        InputError: If unit or meaning is not a string, the bounds are not in order, or the default is not between them.
     """
     if not isinstance(unit, str) or not isinstance(meaning, str):
-        raise InputError(f"parameter({unit!r}, {meaning!r}): give unit and meaning as texts, such as 'W/m^2/K'")
+        raise InputError(f"parameter({unit!r}, {meaning!r}): give unit and meaning as strings, such as 'W/m^2/K'")
     numbers = (lower, upper, *(() if default is None else (default,)))
     if not all(isinstance(number, float | int) for number in numbers):
         raise InputError(f"parameter: {meaning}: give bounds and default as numbers, not as {numbers}")

@@ -83,8 +83,8 @@ class Recording:
             units: Units in which the channels are written and reported; internal units by default.
 
         Raises:
-            InputError: If there is no channel, a name is unknown, the shapes differ, or values are no numbers, or are
-                traced by JAX.
+            InputError: If there is no channel, a name is unknown, the shapes differ, or values are not numbers, or
+                are traced by JAX.
         """
         if not channels:
             raise InputError(f"{name}: there is no channel: give a dictionary with the array of each channel")
@@ -243,7 +243,7 @@ def _as_floats(values: Any, place: str) -> Floats:
         if is_tracing_error(error):
             raise traced_values_error(place) from None
         if isinstance(error, TypeError | ValueError):
-            raise InputError(f"{place}: these are no numbers: give an array of floats") from None
+            raise InputError(f"{place}: the values are not numbers: give an array of floats") from None
         raise
 
 

@@ -48,7 +48,7 @@ SENTENCES = {
     "sma.read_recording(table, delimiter=3)": "delimiter = 3 is of type int: give a text",
     "sma.Recording.from_arrays('x', None, {})": "x: there is no channel: give a dictionary with the array of each "
     "channel",
-    "sma.Recording.from_arrays('x', None, {'current': ['a']})": "x: channel 'current': these are no numbers: give an "
+    "sma.Recording.from_arrays('x', None, {'current': ['a']})": "x: channel 'current': the values are not numbers: give an "
     "array of floats",
     "sma.Recording.from_arrays('x', None, {'current': [1.0]}, {'curent': 'A'})": "'curent' is not a known channel (did "
     "you mean 'current'?)",
@@ -91,7 +91,7 @@ SENTENCES = {
     "sma.parameter('m', 'length', 1.0, 0.0)": "parameter: length: the lower bound 1 is not below the upper one 0",
     "sma.parameter('m', 'length', 0.0, 1.0, 5.0)": "parameter: length: the default 5 is not between the bounds: give "
     "one from 0 to 1",
-    "sma.parameter('m', 3)": "parameter('m', 3): give unit and meaning as texts, such as 'W/m^2/K'",
+    "sma.parameter('m', 3)": "parameter('m', 3): give unit and meaning as strings, such as 'W/m^2/K'",
 }
 CODE = f"""
 import dataclasses

@@ -19,32 +19,33 @@ def check_step(controller: AbstractController) -> None:
         controller: The controller.
 
     Raises:
-        InputError: If it returns anything else, or the state has leaves that are no numbers.
+        InputError: If it returns anything else, or the state has leaves that are not numbers.
     """
+    jax.eval_shape(lambda: _first_step(controller))
+
+
+def _first_step(controller: AbstractController) -> jax.Array:
+    """Check the first step; return 0, since a traced function has to return an array."""
     name = type(controller).__name__
-
-    def take_step() -> Any:
-        number = jnp.zeros(())
-        state = controller.reset(number, number)
-        result = controller.step(state, number, number)
-        if not isinstance(result, tuple | list) or len(result) != 2:
-            raise InputError(f"{name}: step has to return two things: write return state, command")
-        following, command = result
-        for method, tree in (("reset", state), ("step", following)):
-            kinds = [type(leaf).__name__ for leaf in jax.tree.leaves(tree) if not isinstance(leaf, _NUMBERS)]
-            if kinds:
-                raise InputError(f"{name}: {method} returns a state with a {kinds[0]}: give numbers, flags or arrays")
-        if _form(state) != _form(following):
-            raise InputError(
-                f"{name}: step returns another state than reset, {_described(following)} in place of "
-                f"{_described(state)}: make their structure and shapes equal"
-            )
-        if not isinstance(command, _NUMBERS) or jnp.shape(command):
-            shown = f"a command of shape {jnp.shape(command)}" if isinstance(command, _NUMBERS) else repr(command)
-            raise InputError(f"{name}: step returns {shown}: return one number as the command")
-        return jnp.zeros(())
-
-    jax.eval_shape(take_step)
+    number = jnp.zeros(())
+    state = controller.reset(number, number)
+    result = controller.step(state, number, number)
+    if not isinstance(result, tuple | list) or len(result) != 2:
+        raise InputError(f"{name}: step has to return two things: write return state, command")
+    following, command = result
+    for method, tree in (("reset", state), ("step", following)):
+        kinds = [type(leaf).__name__ for leaf in jax.tree.leaves(tree) if not isinstance(leaf, _NUMBERS)]
+        if kinds:
+            raise InputError(f"{name}: {method} returns a state with a {kinds[0]}: give numbers, flags or arrays")
+    if _form(state) != _form(following):
+        raise InputError(
+            f"{name}: step returns another state than reset, {_described(following)} in place of "
+            f"{_described(state)}: make their structure and shapes equal"
+        )
+    if not isinstance(command, _NUMBERS) or jnp.shape(command):
+        shown = f"a command of shape {jnp.shape(command)}" if isinstance(command, _NUMBERS) else repr(command)
+        raise InputError(f"{name}: step returns {shown}: return one number as the command")
+    return jnp.zeros(())
 
 
 def _form(state: Any) -> tuple[Any, list[tuple[int, ...]]]:

@@ -63,7 +63,7 @@ def test_the_hysteresis_is_judged_where_a_transformation_is_fitted():
     assert hysteresis(plant) == pytest.approx(72.0 + 100.0 - 43.0)
     (value,) = implausible_values(plant, ["material.austenite_shift", "heat.h0", "no.such"])
     assert value.name == HYSTERESIS and value.plausible.excess(value.value) == pytest.approx((129.0 - 90.0) / 89.0)
-    assert "material.hysteresis = 129 K lies outside of 1 K to 90 K, what an alloy can have" in value.sentence
+    assert "material.hysteresis = 129 K lies outside of 1 K to 90 K, the plausible range" in value.sentence
     assert implausible_values(plant, ["heat.h0"]) == []
 
 

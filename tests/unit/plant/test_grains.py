@@ -141,7 +141,9 @@ def test_the_cosine_of_the_angle_is_the_correlation_of_both_shifts():
     for angle in (0.0, 0.5 * np.pi, 2.0):
         grains = Grains(correlation_angle=jnp.asarray(angle), count=6)
         laws = [grains.material_of(law, jnp.asarray(q)) for q in grains.quantiles]
-        reverse, forward = (np.array([float(getattr(m, f"{p}_start")) for m in laws]) for p in ("austenite", "martensite"))
+        reverse, forward = (
+            np.array([float(getattr(m, f"{p}_start")) for m in laws]) for p in ("austenite", "martensite")
+        )
         assert np.corrcoef(reverse, forward)[0, 1] == pytest.approx(np.cos(angle), abs=1e-9)
         shifts[angle] = np.std(reverse), np.std(forward)
     assert shifts[2.0] == pytest.approx(shifts[0.0])
