@@ -31,6 +31,7 @@ from smajax.plant.effects.hook_results import checked_memory, checked_result, ch
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
+from smajax.plant.own_methods import check_material, check_mechanism
 from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
@@ -83,10 +84,11 @@ class PlantStages(CellsAndGrains):
     effects: tuple[AbstractEffect, ...] = ()
 
     def __check_init__(self) -> None:
-        """Check the types of the stages.
+        """Check the types of the stages, and what the methods of an own material or mechanism return.
 
         Raises:
-            InputError: If one is of another type; the message names classes that it may be of.
+            InputError: If a stage is of another type; the message names classes that it may be of. If a method returns
+                another shape or type; the message names the class and the method.
         """
         if not isinstance(self.effects, tuple | list):
             raise InputError(
@@ -102,6 +104,8 @@ class PlantStages(CellsAndGrains):
         for key in keys:
             if keys.count(key) > 1:
                 raise InputError(f"{type(self).__name__}: effects has '{key}' twice: give each effect once")
+        check_material(self.material, self.temperature_shape)
+        check_mechanism(self.mechanism, self.effective_material, self._mechanism_context())
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -246,6 +250,7 @@ class PlantStages(CellsAndGrains):
 
     def _resistivity(self, wire_state: WireState) -> Float[Array, "*cells wires"]:
         base, context = self.material.resistivity(wire_state.fractions), self._stage_context()
+        base = jnp.broadcast_to(base, wire_state.temperature.shape)  # an own law may give one number
         return base + sum(
             base
             * checked_result(e, "resistivity", self._each_cell(e.resistivity, wire_state, context), base.shape, "wires")

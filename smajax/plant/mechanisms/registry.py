@@ -46,6 +46,8 @@ def mechanism_problem(name: str, cls: type[AbstractMechanism]) -> str:
     problems = []
     if hasattr(cls, "wires") and cls.wires not in (1, 2):
         problems.append(f"it has {cls.wires!r} wires: write wires = 1 or wires = 2 in the body of the class")
+    if hasattr(cls, "unknowns") and not (type(cls.unknowns) is int and cls.unknowns >= 0):
+        problems.append(f"it has {cls.unknowns!r} unknowns: write a whole number, such as unknowns = 1")
     coordinate = [cls.coordinate] if hasattr(cls, "coordinate") else []
     for channel in (*coordinate, *getattr(cls, "prescribed", ()), *cls.extra_channels):
         if channel not in CHANNELS:
