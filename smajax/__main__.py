@@ -1,5 +1,20 @@
-"""Run the command line as ``python -m smajax``."""
+"""Run the command line: ``python -m smajax``, and the script ``smajax``."""
 
-from smajax.app.cli import main
+import sys
 
-main()
+from smajax.app.loading import exit_on_interrupt
+
+
+def main() -> None:
+    """Run the ``smajax`` command."""
+    exit_on_interrupt()
+    from smajax.app.cli import app
+
+    try:
+        app()
+    except KeyboardInterrupt:  # outside of a command, which has a sentence for it
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

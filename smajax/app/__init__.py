@@ -2,6 +2,6 @@
 
 ``cli`` is the ``smajax`` command, ``command_line`` has its options and one function for each command, and
 ``commands`` has the jobs of the long commands: read the files, call the library, save the result folder. ``console``
-turns errors into sentences and exit codes, and ``run_record`` builds run.json. No module that computes imports this
-package, and large packages are imported only when a command needs them.
+turns errors into sentences and exit codes, and ``loading`` lets Ctrl-C end the process while packages are imported.
+No module that computes imports this package, and large packages are imported only when a command needs them.
 """

@@ -1,6 +1,5 @@
 """The ``smajax`` command: commands in the order of ``--help``, and exit codes."""
 
-import sys
 from typing import Annotated, Any
 
 import typer
@@ -8,7 +7,7 @@ from typer.core import TyperGroup
 
 from smajax import __version__
 from smajax.app.command_line import designs, files, importing, models, properties
-from smajax.errors import Cancelled
+from smajax.app.loading import raise_on_interrupt
 
 # Packages whose exceptions are usage errors and exits, which typer handles.
 _TYPER_MODULES = ("typer", "click")
@@ -19,6 +18,7 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command and report its errors."""
+        raise_on_interrupt()
         try:
             return super().invoke(ctx)
         except (Exception, KeyboardInterrupt) as error:
@@ -67,15 +67,3 @@ app.command("import")(importing.import_file)
 app.command()(files.check)
 app.command()(files.report)
 app.command()(files.datasets)
-
-
-def main() -> None:
-    """Run the ``smajax`` command."""
-    try:
-        app()
-    except KeyboardInterrupt:
-        sys.exit(Cancelled.exit_code)
-
-
-if __name__ == "__main__":
-    main()

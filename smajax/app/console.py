@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from smajax.app.loading import raise_on_interrupt
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.progress import Progress, ProgressEvent
 
@@ -42,6 +43,7 @@ class CommandProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        raise_on_interrupt()
         self._restore()
         self._display.close()
 
@@ -51,6 +53,7 @@ class CommandProgress:
         Raises:
             KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop.
         """
+        raise_on_interrupt()
         if event.step is None:
             self._display.phase(event.text)
             self._handle() if event.can_stop else self._restore()

@@ -102,7 +102,7 @@ def test_equinox_is_imported_after_its_checks_are_disabled(words, tmp_path):
     probe = (
         "import sys, smajax.numerics.process\n"
         "def stop(accelerator):\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
-        "smajax.numerics.process.prepare_jax = stop\nimport smajax.app.cli\nsmajax.app.cli.main()"
+        "smajax.numerics.process.prepare_jax = stop\nimport smajax.__main__\nsmajax.__main__.main()"
     )
     files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
     arguments = [word.format(*files) for word in words]
@@ -113,6 +113,21 @@ def test_equinox_is_imported_after_its_checks_are_disabled(words, tmp_path):
         text=True,
     )
     assert (result.returncode, result.stdout.strip()) == (7, "False"), result.stderr
+
+
+@pytest.mark.parametrize("module", ["typer", "jaxlib"])
+def test_ctrl_c_while_packages_are_imported_is_one_sentence(module, tmp_path):
+    probe = (
+        "import signal, sys, smajax.__main__\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupted:\n    def find_spec(self, name, path, target=None):\n"
+        f"        if name == '{module}':\n            signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupted())\nsmajax.__main__.main()"
+    )
+    files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
+    words = [sys.executable, "-c", probe, "fit", *map(str, files), "--out", str(tmp_path / "out"), "--quiet"]
+    result = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (130, "smajax: interrupted; nothing was written\n")
 
 
 def test_help_names_every_command_and_its_options():

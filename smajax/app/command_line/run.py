@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from smajax.app.loading import exit_on_interrupt
+
 if TYPE_CHECKING:
     from smajax.api.study import Study
     from smajax.app.console import CommandProgress
@@ -14,10 +16,13 @@ if TYPE_CHECKING:
 def start_run(quiet: bool, accelerator: bool = False) -> "CommandProgress":
     """Show progress and configure JAX; call it before importing modules that use JAX.
 
+    Until the first event, Ctrl-C ends the process.
+
     Args:
         quiet: Whether no progress is shown.
         accelerator: Whether JAX may use an accelerator.
     """
+    exit_on_interrupt()
     from smajax.app.console import CommandProgress
     from smajax.numerics.process import prepare_jax
     from smajax.progress import Progress

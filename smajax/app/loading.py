@@ -1,0 +1,30 @@
+"""Ctrl-C while packages are imported: it ends the process at once, in one sentence.
+
+An exception in the import of an extension module would come out as another one, or crash the process.
+"""
+
+import os
+import signal
+import threading
+from types import FrameType
+
+_EXIT_CODE = 130  # smajax.errors.Cancelled.exit_code
+
+
+def exit_on_interrupt() -> None:
+    """Let Ctrl-C end the process, where it would raise ``KeyboardInterrupt``."""
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _exit)
+
+
+def raise_on_interrupt() -> None:
+    """Let Ctrl-C raise ``KeyboardInterrupt`` after ``exit_on_interrupt``."""
+    if signal.getsignal(signal.SIGINT) is _exit:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _exit(number: int, frame: FrameType | None) -> None:
+    line_end = b"\n" if os.isatty(2) else b""
+    os.write(2, line_end + b"smajax: interrupted; nothing was written\n")
+    os._exit(_EXIT_CODE)
