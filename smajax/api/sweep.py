@@ -143,7 +143,7 @@ def sweep(
             out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smajax-"))) / "sweep"
         else:
             out = check_output_folder(as_path("sweep", "folder", folder, "the path of the result folder"))
-            pyarrow_parquet(out, instead="")  # before any computation
+        pyarrow_parquet(Path("sweep.parquet") if folder is None else out, instead="")  # before any computation
         return _sweep(path, out, folder is not None, scheduler, resume, reporter, argv)
 
 

@@ -23,7 +23,8 @@ def prepare_jax(accelerator: bool = False) -> None:
     options stay.
 
     Args:
-        accelerator: Whether JAX may use an accelerator; otherwise it uses the CPU, unless ``JAX_PLATFORMS`` is set.
+        accelerator: Whether JAX may use an accelerator, as for a sweep; otherwise it uses the CPU, unless
+            ``JAX_PLATFORMS`` is set.
     """
     os.environ.setdefault("EQX_ON_ERROR", "off")
     gc.set_threshold(_GARBAGE_THRESHOLD, 20, 50)
@@ -31,7 +32,7 @@ def prepare_jax(accelerator: bool = False) -> None:
 
     from smajax.numerics.jax_setup import set_compiler_options
 
-    set_compiler_options()
+    set_compiler_options(batches=accelerator)
     jax.config.update("jax_enable_x64", True)
     if not accelerator and not os.environ.get("JAX_PLATFORMS"):
         jax.config.update("jax_platforms", "cpu")

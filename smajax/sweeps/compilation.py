@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError
+from smajax.numerics.jax_setup import EMITTER_OPTIONS
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.process import count_cores
 from smajax.sweeps.problem import AbstractSweepProblem
@@ -44,25 +45,10 @@ def _evaluate_batch(
     return jax.vmap(lambda design: problem.evaluate(design, steps))(designs)
 
 
-_WIDE_VECTORS: Any = {"compiler_options": {"xla_cpu_prefer_vector_width": 512}}
-evaluate_batch: Any = jit_with_kernels(_evaluate_batch, **_WIDE_VECTORS)
-
-
-@jit_with_kernels
-def differentiate_batch(
+def _differentiate_batch(
     problem: AbstractSweepProblem, designs: Float[Array, "designs axes"], steps: int
 ) -> tuple[dict[str, Float[Array, " designs"]], dict[str, Float[Array, "designs axes"]], Int[Array, " designs"]]:
-    """Evaluate the metrics of designs and their derivatives.
-
-    Args:
-        problem: Maps a design to its metrics.
-        designs: Values of the designs in internal units, shape ``(designs, axes)``.
-        steps: Number of steps with which each design is simulated.
-
-    Returns:
-        Metrics by name, shape ``(designs,)`` each, their derivatives with respect to the axes, shape
-        ``(designs, axes)`` each, and the numbers of the ``SimulationStatus``, shape ``(designs,)``.
-    """
+    """Metrics by name, their derivatives with respect to the axes, and result codes, of designs."""
 
     def evaluate_twice(design: Float[Array, " axes"]) -> tuple[dict[str, Any], tuple[dict[str, Any], Int[Array, ""]]]:
         metrics, code = problem.evaluate(design, steps, differentiable=True)
@@ -70,6 +56,13 @@ def differentiate_batch(
 
     derivatives, (metrics, codes) = jax.vmap(jax.jacfwd(evaluate_twice, has_aux=True))(designs)
     return metrics, derivatives, codes
+
+
+# The emitters change the rounding of a batch: with the same ones commands and library give the same digits.
+evaluate_batch: Any = jit_with_kernels(
+    _evaluate_batch, compiler_options={**EMITTER_OPTIONS, "xla_cpu_prefer_vector_width": 512}
+)
+differentiate_batch: Any = jit_with_kernels(_differentiate_batch, compiler_options=EMITTER_OPTIONS)
 
 
 def on_accelerator() -> bool:

@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 import pytest
+import tomlkit
 
 from smajax.recordings.datasets import data_path
 
@@ -48,18 +49,42 @@ def without_times(document: Any) -> Any:
     return [without_times(value) for value in document] if isinstance(document, list) else document
 
 
+def run_both(words: list[str], program: str) -> None:
+    """Run a command, and a program in Python, each in a process without settings of JAX."""
+    clean = {key: value for key, value in os.environ.items() if key not in OURS}
+    subprocess.run([sys.executable, "-m", "smajax", *words], env=clean, check=True)
+    subprocess.run([sys.executable, "-c", program], env=clean, check=True)
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_command_and_the_library_give_the_same_document(name, tmp_path):
     arguments, document, call = STUDIES[name]
     texts = [str(argument) for argument in arguments]
     command, library = tmp_path / "command", tmp_path / "library"
     program = PROGRAM.format(call=call.format(*texts, models=COMPARED), folder=str(library))
-    clean = {key: value for key, value in os.environ.items() if key not in OURS}
-    subprocess.run([sys.executable, "-m", "smajax", name, *texts, "--out", str(command)], env=clean, check=True)
-    subprocess.run([sys.executable, "-c", program], env=clean, check=True)
+    run_both([name, *texts, "--out", str(command)], program)
     first, second = ((folder / document).read_text("utf-8") for folder in (command, library))
     if document.endswith(".json"):
         first, second = without_times(json.loads(first)), without_times(json.loads(second))
     assert first == second
     for table in command.glob("*.csv"):
         assert table.read_bytes() == (library / table.name).read_bytes()
+
+
+# Keys of [sweep]: the cooling of a flexural actuator is no loop of small steps, and derivatives are another program.
+SWEEPS = {"flexural": "designs = 16", "dead-weight": "designs = 16\ngradients = true"}
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_a_command_and_the_library_give_the_same_sweep(name, tmp_path):
+    shipped = tomlkit.parse(data_path("sweeps", f"{name}.toml").read_text("utf-8"))
+    (key,) = {"rig", "actuator"} & set(shipped["sweep"])
+    subject = data_path("sweeps", f"{name}.toml").parent / shipped["sweep"][key]
+    shipped["sweep"] = tomlkit.parse(f"{key} = '{subject}'\n{SWEEPS[name]}")
+    shipped.pop("refine", None)
+    file, command, library = tmp_path / "sweep.toml", tmp_path / "command", tmp_path / "library"
+    file.write_text(tomlkit.dumps(shipped), "utf-8")
+    call = f"sma.sweep({str(file)!r})"
+    run_both(["sweep", str(file), "--out", str(command)], PROGRAM.format(call=call, folder=str(library)))
+    for document in ("sweep.json", "sweep.parquet"):
+        assert (command / document).read_bytes() == (library / document).read_bytes()
