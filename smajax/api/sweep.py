@@ -201,7 +201,7 @@ def _sweep(
             advice = "run it again with --resume (resume=True in Python) to continue"
             saved = f"{advice}; the results so far are saved in {folder}"
             kept = saved if save else "nothing is kept, since no folder was given"
-            if not complete:
+            if not complete or reporter.stopped:  # a request during the last chunks ends the sweep before refinement
                 count = sum((folder / chunk.file).is_file() for chunk in designs.chunks)
                 raise Cancelled(f"stopped after {count} of {_counted(designs.chunks)}; {kept}")
             try:

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from smajax.api.sweep import sweep
-from smajax.errors import InputError
+from smajax.errors import Cancelled, InputError
 from smajax.recordings.datasets import data_path
 
 
@@ -16,3 +16,20 @@ def test_a_sweep_without_pyarrow_is_refused_before_any_computation(monkeypatch):
         sweep(data_path("sweeps", "dead-weight.toml"), progress=events.append)
     assert str(raised.value) == 'sweep.parquet: Parquet files need pyarrow: run pip install "smajax[io]"'
     assert events == []
+
+
+def test_a_stop_during_the_last_chunk_ends_the_sweep_there(tmp_path):
+    shipped = data_path("sweeps", "flexural.toml")
+    text = shipped.read_text("utf-8").replace("designs = 256", "designs = 4")
+    file = tmp_path / "sweep.toml"
+    file.write_text(text.replace('"../', f'"{shipped.parent.parent}/'), "utf-8")
+
+    def stop(event):
+        if event.can_stop and event.step == 1:
+            raise StopIteration
+
+    with pytest.raises(Cancelled, match=r"^stopped after 1 of 1 chunk; run it again with --resume"):
+        sweep(file, folder=tmp_path / "out", progress=stop)
+    events = []
+    sweep(file, folder=tmp_path / "out", resume=True, progress=events.append)
+    assert "refining the best designs" in [event.text for event in events]
