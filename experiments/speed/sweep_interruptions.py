@@ -196,7 +196,7 @@ def start_sweep(folder: Path, out: str, *options: str) -> subprocess.Popen:
     call = [
         sys.executable,
         "-m",
-        "smajax.app.cli",
+        "smajax",
         "sweep",
         str(folder / "sweep.toml"),
         "--out",

@@ -673,7 +673,7 @@ def _command(folder, *more):
     arguments = [
         sys.executable,
         "-m",
-        "smajax.app.cli",
+        "smajax",
         "sweep",
         str(folder / "sweep.toml"),
         "--out",
