@@ -135,6 +135,12 @@ def test_raw_numbers_are_scaled(read):
     assert "force was read as (-0.0087 * number + 7.5) N of column 'load cell', as the rig says" in recording.notes
 
 
+def test_a_value_that_a_wrong_scale_makes_impossible_names_the_scale(read):
+    mapping = {"duty": ChannelMap("pwm", full_scale=255.0)}
+    with pytest.raises(InputError, match="of 1.56863 is above 1: correct factor, offset or full_scale of duty under"):
+        read("time [s],pwm\n0,0\n1,400\n2,30\n", mapping=mapping)
+
+
 def test_values_beyond_the_limits_of_a_register_count_as_the_limit(read, tmp_path):
     """A register of 8 bits that a corrupt packet sets to 1000 is always on; limits need no scale."""
     mapping = {"duty": ChannelMap("pwm", full_scale=255, limits=(0.0, 1.0)), "ambient": ChannelMap("room", "degC")}
