@@ -43,16 +43,14 @@ def profile_likelihood(
 ) -> dict[str, Any]:
     """Compute the best cost with one parameter held at several values.
 
-    A parameter without a standard error, which the recordings do not determine at the estimate, is held at values
-    over the whole of its bounds.
+    A parameter without a standard error is held at values over the whole of its bounds.
 
     Args:
         result: A fit.
         name: Label of a free parameter.
         points: Number of values, odd and at least 3: the one in the middle is the estimate.
         width: The values reach this number of standard errors to either side, above 0; or the bounds.
-        progress: Called after each step of the searches with its number and the best cost so far; it may interrupt
-            them by ``StopIteration`` or ``KeyboardInterrupt``.
+        progress: Called after each step of the searches with its number and the best cost so far; it may interrupt.
 
     Returns:
         ``values`` (points,) in the internal unit; ``rise`` (points,) of the cost, in units in which 3.84 bounds a 95 %
@@ -61,8 +59,7 @@ def profile_likelihood(
         without a rise.
 
     Raises:
-        InputError: The parameter is not free, is at its bound, or has neither a standard error nor bounds; or
-            ``points`` or ``width`` is not possible.
+        InputError: The parameter is not free, is at its bound, or has neither error nor bounds; or a wrong range.
         Cancelled: The searches were interrupted.
     """
     _check_range(points, width)
@@ -186,8 +183,8 @@ def _profile_over_bounds(result: FitResult, index: int, progress: Callable[[int,
     name, scale = result.estimates[index].name, result.problem.unknowns[index].scale
     bounds = [float(b[index]) * scale for b in result.problem.bounds]
     if not all(map(math.isfinite, bounds)):
-        cure = "give it bounds under [fit] bounds, over which its profile is computed"
-        raise InputError(f"the data do not determine '{name}', which has no bounds: {cure}")
+        problem = f"the data do not determine '{name}', which has no bounds"
+        raise InputError(f"{problem}: give it bounds under [fit] bounds, over which its profile is computed")
     estimate, span = result.estimates[index].estimate, bounds[1] - bounds[0]
     sides = [_Side(bound, np.array(result.vector), estimate, bound, [], []) for bound in bounds]
     lower, upper = (np.tile(b, (2, 1)) for b in result.problem.bounds)
