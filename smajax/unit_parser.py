@@ -28,6 +28,8 @@ _ALIASES = {
 MAX_LENGTH = 60
 # Most units, and most conversions, that are cached: limits the memory where a file has very many different texts.
 CACHED_UNITS = 4096
+# Letters of a name that is a whole word, in which a capital letter has no meaning as in Mm; volt has four.
+_LONG_NAME = 4
 _TOKEN = re.compile(
     r"\s*(?:(?P<name>[A-Za-zµμεΩΩ°℃℉_]+|[%‰])|(?P<power>\^|\*\*)\s*(?P<exponent>[+-]?\d)|(?P<sign>[*/()·1]))", re.ASCII
 )
@@ -73,7 +75,7 @@ def parse_unit(unit: str) -> UnitScale:
     if len(unit) > MAX_LENGTH:
         long = f"a unit of {len(unit)} characters ('{unit[:12]}...') is too long"
         raise InputError(f"{long}: write it like 'mm' or 'W/m^2/K'")
-    text = re.sub(r"(?:\bdeg|°) ([CF])$", r"deg\1", unit.strip().replace("º", "°"))
+    text = re.sub(r"(?:\b[Dd]eg|°) ([CF])$", r"deg\1", unit.strip().replace("º", "°"))
     text = re.sub("[⁻⁰¹²³⁴-⁹]+", lambda match: "^" + match.group().translate(_SUPERSCRIPT), text)
     if text in _ALIASES or re.fullmatch(r"[^\W\d]+|°[CF]|1", text):
         return parse_unit(_ALIASES[text]) if text in _ALIASES else _unit_of_name(text)
@@ -135,6 +137,8 @@ def _unit_of_name(name: str) -> UnitScale:
     """Return the unit of a single name (``mm``, ``uohm``, ``degC``), as pint knows it."""
     if name == "1":
         return UnitScale(Fraction(1), ())
+    if name.istitle() and len(name) >= _LONG_NAME:  # oscilloscopes write Second and Volt
+        name = name.lower()
     registry = _registry()
     try:
         unit = registry.parse_units(name)

@@ -58,6 +58,7 @@ control = "duty"
 
 [recording]
 sample_period = "19 ms"                      # the file has no time
+on_bad_rows = "drop"                         # rows that the logger cut or garbled; they are counted
 [channels]
 ignore = ["Temperature derivative"]
 temperature = {{column = "SMA temperature", unit = "degC"}}

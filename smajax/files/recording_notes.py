@@ -9,6 +9,7 @@ from smajax.channels import channel_of, channel_unit, numbered
 from smajax.files.fit_settings import FitSettings
 from smajax.files.rig_kinds import rig_phrase
 from smajax.plant.effects import catalogue
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
 from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
@@ -74,7 +75,7 @@ def _surroundings(plant: Plant, fit: FitSettings, recording: Recording) -> list[
         )
     for name in SURROUNDINGS:
         effects = [key for key, effect in catalogue().items() if name in getattr(effect, "surroundings", ())]
-        if name in recording.channels and name not in driving and effects:
+        if name in recording.channels and name not in driving and effects and not _is_prescribed(plant):
             notes.append(f"{name} is recorded and not used: add [effects.{effects[0]}], whose strength can be fitted")
     return notes
 
@@ -102,7 +103,7 @@ def _unused(plant: Plant, fit: FitSettings, kind: str, recording: Recording) -> 
     driving = plant.driving_channels(recording.channels)
     others = [c for c in recording.channels if c not in driving and c not in fit.observe]
     outputs = [c for c in others if c in plant.observable]
-    foreign = [c for c in others if c not in outputs and not _needs_effect(c)]
+    foreign = [c for c in others if c not in outputs and (_is_prescribed(plant) or not _needs_effect(c))]
     notes = []
     if foreign:
         notes.append(
@@ -113,6 +114,11 @@ def _unused(plant: Plant, fit: FitSettings, kind: str, recording: Recording) -> 
             f"recorded and not fitted, since [fit] observe does not name {_them(outputs)}: {', '.join(outputs)}"
         )
     return notes
+
+
+def _is_prescribed(plant: Plant) -> bool:
+    """Whether the temperature is prescribed, so that no effect on the heat balance changes anything."""
+    return isinstance(plant.heat, PrescribedTemperature)
 
 
 def _needs_effect(channel: str) -> bool:

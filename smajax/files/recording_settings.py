@@ -52,7 +52,7 @@ def recording_options(data: Mapping[str, Any]) -> ReadOptions:
         raise InputError(f"channels.{twice[0]} and recording.{twice[0]} are both given: keep recording.{twice[0]}")
     read = validate(RecordingSection, section, "recording")
     changes = {name: getattr(read, name) for name in read.model_fields_set} | old
-    if changes.get("delimiter", ",") == changes.get("decimal", "."):
+    if changes.get("delimiter") == changes.get("decimal", "."):
         where = "recording" if "decimal" in read.model_fields_set else "channels"
         problem = f'{where}.delimiter and {where}.decimal are both "{changes["decimal"]}"'
         raise InputError(f'{problem}: set delimiter = ";" or "\\t"')

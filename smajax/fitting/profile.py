@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -21,6 +22,12 @@ from smajax.fitting.unknowns import Settings
 CHI2_95 = float(chi2.ppf(0.95, 1))
 # Ends of a search at which the cost is that of a minimum.
 _ENDED = (SolverStatus.converged, SolverStatus.stalled)
+# Values over the bounds of a parameter that is not determined; the factor by which the distance to an excluded value is
+# divided, and the share of the bounds at which that is close enough; the most searches. Chosen by trial.
+_VALUES = 16
+_REFINEMENT = 3.0
+_CLOSE = 1e-3
+_MOST_VALUES = 100
 # Relative tolerance of the searches along a profile: tighter than a fit's, since their costs are compared. Chosen by
 # trial; the tests of profiles in tests/unit/fitting/test_fit.py hold it.
 _RTOL = 1e-9
@@ -36,13 +43,14 @@ def profile_likelihood(
 ) -> dict[str, Any]:
     """Compute the best cost with one parameter held at several values.
 
+    A parameter without a standard error is held at values over the whole of its bounds.
+
     Args:
         result: A fit.
         name: Label of a free parameter.
         points: Number of values, odd and at least 3: the one in the middle is the estimate.
-        width: The values reach this number of standard errors to either side, above 0.
-        progress: Called after each step of the searches with its number and the best cost so far; it may interrupt
-            them by ``StopIteration`` or ``KeyboardInterrupt``.
+        width: The values reach this number of standard errors to either side, above 0; or the bounds.
+        progress: Called after each step of the searches with its number and the best cost so far; it may interrupt.
 
     Returns:
         ``values`` (points,) in the internal unit; ``rise`` (points,) of the cost, in units in which 3.84 bounds a 95 %
@@ -51,12 +59,13 @@ def profile_likelihood(
         without a rise.
 
     Raises:
-        InputError: The parameter is not free, is at its bound, or has no effect; or ``points`` or ``width`` is not
-            possible.
+        InputError: The parameter is not free, is at its bound, or has neither error nor bounds; or a wrong range.
         Cancelled: The searches were interrupted.
     """
     _check_range(points, width)
     index, deviation = _index_and_deviation(result, name)
+    if not math.isfinite(deviation):
+        return _profile_over_bounds(result, index, progress)
     estimate, scale = result.estimates[index], result.problem.unknowns[index].scale
     lower, upper = (np.tile(b, (points, 1)) for b in result.problem.bounds)
     values = np.clip(
@@ -123,31 +132,124 @@ def _check_range(points: int, width: float) -> None:
         raise InputError(f"width: the values cannot reach {width:g} standard errors: give a number above 0, such as 3")
 
 
+@dataclass
+class _Side:
+    """One side of a profile over bounds.
+
+    Attributes:
+        end: The bound.
+        vector: Solution at the last value that is not excluded.
+        value: That value.
+        limit: Nearest value that is excluded; the bound while there is none.
+        values: Values in the order outwards, without the estimate.
+        rises: Their rises; NaN where the search did not converge.
+        excluded: Rise at ``limit``; ``None`` while no value is excluded.
+    """
+
+    end: float
+    vector: np.ndarray
+    value: float
+    limit: float
+    values: list[float]
+    rises: list[float]
+    excluded: float | None = None
+
+    def trial(self, step: float) -> float:
+        """The next value: a step further, or closer to the last one where a value has been excluded."""
+        if self.excluded is not None:
+            return self.value + (self.limit - self.value) / _REFINEMENT
+        remaining = self.end - self.value
+        return self.value + math.copysign(min(step, abs(remaining)), remaining)
+
+    def is_done(self, span: float) -> bool:
+        """Whether the bound is reached, or an excluded value is close."""
+        return abs(self.limit - self.value) <= (0.0 if self.excluded is None else _CLOSE * span)
+
+    def add(self, value: float, rise: float, vector: np.ndarray) -> None:
+        """Add the result at a value."""
+        if rise <= CHI2_95:
+            self.value, self.vector = value, vector
+            self.values.append(value)
+            self.rises.append(rise)
+        else:
+            self.limit, self.excluded = value, rise
+
+
+def _profile_over_bounds(result: FitResult, index: int, progress: Callable[[int, float], object]) -> dict[str, Any]:
+    """Profile of a parameter without a standard error: outwards from the estimate, each value from the last solution.
+
+    The other parameters have to follow along a valley, which a search from the estimate may miss.
+    """
+    name, scale = result.estimates[index].name, result.problem.unknowns[index].scale
+    bounds = [float(b[index]) * scale for b in result.problem.bounds]
+    if not all(map(math.isfinite, bounds)):
+        problem = f"the data do not determine '{name}', which has no bounds"
+        raise InputError(f"{problem}: give it bounds under [fit] bounds, over which its profile is computed")
+    estimate, span = result.estimates[index].estimate, bounds[1] - bounds[0]
+    sides = [_Side(bound, np.array(result.vector), estimate, bound, [], []) for bound in bounds]
+    lower, upper = (np.tile(b, (2, 1)) for b in result.problem.bounds)
+    ratio = math.nan
+    for step in range(_MOST_VALUES):
+        trials = [side.value if step == 0 or side.is_done(span) else side.trial(span / _VALUES) for side in sides]
+        lower[:, index] = upper[:, index] = np.array(trials) / scale
+        starts = np.array([side.vector for side in sides])
+        solver = MultiStartSolver(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=_RTOL)
+        search = solver.advance(progress=progress).result()
+        if SolverStatus.interrupted in search.statuses:
+            raise Cancelled(f"the profile of {name} was cancelled before its searches had ended")
+        if step == 0:
+            ratio = _variance_ratio(result, search.jacobians[0], index)
+            continue
+        for k, side in enumerate(sides):
+            if not side.is_done(span):
+                ended = search.statuses[k] in _ENDED
+                rise = (search.costs[k] - result.cost) * ratio if ended else math.nan
+                side.add(trials[k], float(rise), np.asarray(search.points[k]))
+        if all(side.is_done(span) for side in sides):
+            break
+    return _joined(estimate, sides)
+
+
+def _joined(estimate: float, sides: Sequence[_Side]) -> dict[str, Any]:
+    """The two sides of a profile as one, with its ends."""
+    ends, parts = [], []
+    for side in sides:
+        limit = [] if side.excluded is None else [(side.limit, side.excluded)]
+        pairs = [(estimate, 0.0), *zip(side.values, side.rises, strict=True), *limit]
+        parts.append(pairs)
+        ends.append(crossing(*np.array(pairs).T) if len(pairs) > 1 else None)
+    values, rise = np.array([*parts[0][:0:-1], *parts[1]]).T
+    return {"values": values, "rise": rise, "lower95": ends[0], "upper95": ends[1]}
+
+
 def _variance_ratio(result: FitResult, jacobian: np.ndarray, index: int) -> float:
     """Variance by white noise of variance 1 over the variance of an estimate.
 
     Near the estimate the cost rises by the squared distance over the former. The product is the squared distance in
-    standard errors, which take the noise and its autocorrelation into account.
+    standard errors, which take the noise and its autocorrelation into account. For a parameter without a variance it
+    is the median of those of the others; without any, that of white noise.
     """
-    free = np.isfinite(np.diag(result.covariance))
-    unit_variance = unit_noise_variances(jacobian[:, free])[np.count_nonzero(free[:index])]
-    return unit_variance * result.problem.unknowns[index].scale ** 2 / result.covariance[index, index]
+    variances = np.diag(result.covariance)
+    free = np.isfinite(variances)
+    scales = np.array([unknown.scale for unknown in result.problem.unknowns])
+    ratios = unit_noise_variances(jacobian[:, free]) * scales[free] ** 2 / variances[free]
+    if free[index]:
+        return float(ratios[np.count_nonzero(free[:index])])
+    usable = ratios[np.isfinite(ratios)]
+    return float(np.median(usable)) if len(usable) else len(jacobian) / result.cost
 
 
 def _index_and_deviation(result: FitResult, name: str) -> tuple[int, float]:
-    """The parameter's place in the vector and its standard error, internal unit."""
+    """The parameter's place in the vector and its standard error, internal unit; infinite if not determined."""
     labels = [u.label for u in result.problem.unknowns]
     if name not in labels:
         raise InputError(f"'{name}' is not a free parameter of this fit; free are {', '.join(labels)}")
     index = labels.index(name)
+    if result.estimates[index].at_bound:
+        problem = f"'{name}' is at its bound in this fit, where no profile can be computed"
+        raise InputError(f"{problem}: widen the bound under [fit] bounds")
     variance = result.covariance[index, index]
-    deviation = math.sqrt(variance) if np.isfinite(variance) else math.nan
-    if not math.isfinite(deviation):
-        raise InputError(
-            f"'{name}' has no finite standard error in this fit (it is at its bound, or the data do not determine "
-            "it): no profile can be computed"
-        )
-    return index, deviation
+    return index, math.sqrt(variance) if np.isfinite(variance) else math.inf
 
 
 def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> float | None:

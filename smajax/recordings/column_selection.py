@@ -38,13 +38,17 @@ def select_columns(
     times = [index for index, header in enumerate(table.headers) if _is_time(header, mapping)]
     implied = table.implied_time
     skipped = {implied} if implied is not None and any(index != implied for index in times) else set()
-    notes: tuple[str, ...] = ()
+    blank = () if "" in ignore else _blank_columns(table)
+    skipped |= set(blank)
+    notes = tuple(f"column {k + 1}, with neither a header nor values in the first rows, was left out" for k in blank)
     if options.columns is not None:
         skipped |= {index for index, header in enumerate(table.headers) if header == _LEFT_OUT}
     date = _join_date(origin, table, times, ignore, options)
     if date is not None:
         skipped.add(date)
-        notes = (f"columns '{table.headers[date]}' and '{table.headers[times[0]]}' were joined to date and time",)
+        pair = f"columns '{table.headers[date]}' and '{table.headers[times[0]]}'"
+        pair = f"columns '{table.headers[date]}' and '{table.headers[times[0]]}'"
+        notes = (*notes, f"{pair} were joined to date and time")
     if not table.leaves_out_unknown:
         return skipped, notes
     known = {index for index, header in enumerate(table.headers) if _is_channel(header, mapping)} | {implied}
@@ -60,6 +64,14 @@ def select_columns(
         names = _listed([table.headers[index] for index in unknown])
         notes += (f"{len(unknown)} fields that are not mapped to channels were left out: {names}",)
     return skipped | set(unknown), notes
+
+
+def _blank_columns(table: Table) -> list[int]:
+    """Return the numbers of the columns that a delimiter at the end of each row makes, without header and values."""
+    if not table.first_cells:
+        return []
+    blank = [index for index, header in enumerate(table.headers) if index and not header]
+    return [k for k in blank if not any(k < len(cells) and cells[k] not in ("", None) for cells in table.first_cells)]
 
 
 def _is_time(header: str, mapping: Mapping[str, ChannelMap]) -> bool:

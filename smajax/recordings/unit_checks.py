@@ -62,7 +62,8 @@ def check_scale(
         siblings_peak: Largest magnitude, in the internal unit, in all columns of the same kind of channel: if wire 1
             carries a current, that in wire 2 may be zero.
         place: Returns a text such as "file: row 5, column 'x'" for an index.
-        unit_place: Where to correct the unit, with ``{unit}`` for the likely one, such as "the header to ...".
+        unit_place: Where to correct the unit, with ``{unit}`` for the likely one, such as "the header to ..."; empty
+            where the numbers are scaled by the rig, so that a unit is not what is wrong.
 
     Raises:
         InputError: If they are not; the message names place, likely unit and cure.
@@ -101,6 +102,10 @@ def looks_like_kelvin(values: NDArray[np.float64]) -> bool:
 
 
 def _refuse(place: str, problem: str, likely: str | None, name: str, unit_place: str) -> None:
+    if not unit_place:
+        scale = f"correct factor, offset or full_scale of {name} under [channels]"
+        exception = f", or, if it is right, give {name} any_scale = true there"
+        raise InputError(f"{place}: {problem}: {scale}{exception}", code="implausible", cure=exception)
     looks = f", and the numbers look like {likely}" if likely else ", outside the range of rigs with SMA wires"
     advice = f"correct {unit_place.format(unit=likely)}" if likely else "correct the unit or the value"
     exception = f", or, if it is right, give {name} any_scale = true under [channels] in the rig"

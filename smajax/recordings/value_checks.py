@@ -57,6 +57,8 @@ def check_values(
         if not column.any_scale:
             mapping = f"[channels] {column.name} to unit = " + '"{unit}"'
             unit_place = mapping if column.mapped else f"the header to '{column.name} [{{unit}}]'"
+            if column.source is not None and column.source.is_scaled:
+                unit_place = ""
             peak = peaks[channel_of(column.name)]
             check_scale(numbers, column.name, column.unit, peak, lambda i, column=column: place(column, i), unit_place)
         if column.name in observed:

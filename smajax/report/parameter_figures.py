@@ -8,10 +8,8 @@ from html import escape
 import plotly.graph_objects as go
 
 from smajax.report.figures import MODEL, RESIDUAL, Picture, axis_style, base_layout, level_line
+from smajax.report.summary import RISE_95
 
-# Rise of the cost at the ends of a 95 % interval: the 0.95 quantile of the chi-squared distribution with one degree of
-# freedom.
-_CHI2_95 = 3.841
 _PROFILE_HEIGHT = 340
 # Height of a matrix in pixels: the smallest one, and that of a row and of the frame.
 _MIN_MATRIX_HEIGHT = 260
@@ -31,7 +29,7 @@ def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: 
     layout = base_layout()
     layout["xaxis"] = axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
     layout["yaxis"] = axis_style("rise of the cost") | {"rangemode": "tozero"}
-    layout["shapes"] = [level_line(_CHI2_95, "y", {"dash": "dot", "color": MODEL, "width": 1.5})]
+    layout["shapes"] = [level_line(RISE_95, "y", {"dash": "dot", "color": MODEL, "width": 1.5})]
     trace = go.Scatter(mode="lines+markers", line={"color": RESIDUAL}, showlegend=False, x=list(values), y=list(rise))
     caption = (
         "The smallest cost with the parameter fixed at each value and all others refitted; "

@@ -15,6 +15,9 @@ from smajax.units import example_of, from_si
 
 Document = Mapping[str, Any]
 
+# Rise of the cost at the ends of a 95 % interval: the 0.95 quantile of the chi-squared distribution with one degree of
+# freedom.
+RISE_95 = 3.841
 # Width of the text in columns of a terminal.
 _WIDTH = 110
 # Ratios of residual to noise floor up to which the residual counts as noise, or as little more: the noise floor itself
@@ -306,9 +309,10 @@ def _undetermined_sentences(doc: Document) -> list[str]:
 
 def _undetermined_sentence(name: str, entry: Document, profile: Document | None) -> str:
     """Say that a parameter is not determined; only a profile has searched whether other values fit as well."""
-    if profile is not None and profile["lower95"] is None and profile["upper95"] is None:
+    if profile is not None and all(rise is not None and rise < RISE_95 for rise in profile["rise"]):
         return (
-            f"{name} is not determined: as its profile shows, these recordings fit about as well with any value of it."
+            f"{name} is not determined: as its profile shows, these recordings fit about as well with any value of it "
+            "within its bounds."
         )
     reason = (
         "small changes of it do not change the model"

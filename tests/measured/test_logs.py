@@ -110,6 +110,21 @@ def test_a_missing_log_is_refused(name, tmp_path):
     assert result.returncode == 2 and "nowhere.csv is not a file" in result.stderr
 
 
+def test_rows_of_a_log_that_the_logger_cut_are_left_out_and_counted(tmp_path, capsys):
+    from experiments.measured.guarneros import read_log
+
+    header = ",SMA temperature,Ambiente temperature,Force sensor,Control input,Temperature derivative"
+    rows = [f"{k},{25 + k % 7 / 10},24.3,{797 - k % 5},{k % 60},0.0" for k in range(13_000)]
+    rows[4000], rows[7000] = rows[4000][:12], rows[7000].replace("24.3", "#$")
+    path = tmp_path / "AB7.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    blocks, _ = read_log(path)
+    assert len(blocks) == 13_000 // 53 + 1
+    assert (
+        "2 of 13000 rows with a blank or unreadable cell dropped on request: row 4002, 7002" in capsys.readouterr().err
+    )
+
+
 def rows_of(name: str, tmp_path: Path, *words: str) -> dict[str, dict]:
     """Return the rows of a quick run by name."""
     target = tmp_path / "rows.json"

@@ -11,10 +11,9 @@ from typing import Any
 
 from smajax.errors import InputError
 from smajax.recordings.read_options import ReadOptions
-from smajax.recordings.readers import TEXT_SUFFIXES
+from smajax.recordings.readers import TOPIC_SUFFIXES
 from smajax.recordings.recognition.recognise import recognise
 
-_TEXT_ENDINGS = (*TEXT_SUFFIXES, ".xlsx")
 _COLUMNS_HINT = "--columns, with - for one to ignore, as in --columns '-,temperature [degC],strain [%]'"
 # Channels of thermal cycles, and the time, which is in most files.
 _CHANNELS = ("time", "temperature", "strain", "stress")
@@ -22,14 +21,14 @@ _CHANNELS = ("time", "temperature", "strain", "stress")
 Fields = Mapping[str, Any]
 
 
-def _unit_of(fields: Fields) -> str:
-    """Unit in the example of a header, as in 'strain [%]'."""
-    return fields["example"].partition("[")[2].removesuffix("]")
-
-
 def _delimiter(fields: Fields) -> str:
     name = "space" if fields["delimiter"] == " " else fields["delimiter"]
     return f"give --delimiter {name}" + (" --decimal ," if fields.get("decimal") == "," else "")
+
+
+def _unit_of(fields: Fields) -> str:
+    """Unit in the example of a header, as in 'strain [%]'."""
+    return fields["example"].partition("[")[2].removesuffix("]")
 
 
 # Cures by code that hold for all files.
@@ -47,7 +46,7 @@ _CURES: dict[str, Callable[[Fields], str]] = {
     "stamp": lambda fields: "give its format, as in --time-format '%d.%m.%Y %H:%M:%S', or correct it",
     "date-format": lambda fields: "give the format of both with a space between: --time-format '%d.%m.%Y %H:%M:%S'",
     "columns-missing": lambda fields: f"name its columns by {fields['columns_hint']}",
-    "columns-named": lambda fields: "leave --columns out, and give the file headers like 'temperature [degC]'",
+    "columns-named": lambda fields: "leave --columns out, and export its fields as CSV",
     "mat-variable": lambda fields: f"name it by --variable, as in --variable {fields['variable']}",
     "mat-matrix": lambda fields: f"save one vector per channel, or give --variable {fields['variable']} and --columns",
     "topic-stamps": lambda fields: f"give --clock-topic {fields['topic']} and --topic-interpolation hold or linear",
@@ -58,13 +57,14 @@ _CURES: dict[str, Callable[[Fields], str]] = {
     "constant-channel": lambda fields: "check the sensor",
     "implausible": lambda fields: "",
 }
-_CURES_OF_TEXT: dict[str, Callable[[Fields], str]] = {
+_CURES_OF_COLUMNS: dict[str, Callable[[Fields], str]] = {
     "unknown-column": lambda fields: f"rename it, or name the columns by {fields['columns_hint']}",
     "unit-missing": lambda fields: f"write the header like '{fields['example']}', in the file or by --columns",
     "channel-missing": lambda fields: (
         f"add a column '{fields['example']}' or name the columns by {fields['columns_hint']}"
     ),
 }
+# The order of the variables of a .mat file is not what MATLAB shows, so that no list of columns names them.
 _CURES_OF_MAT: dict[str, Callable[[Fields], str]] = {
     "unknown-column": lambda fields: "save one vector per channel, named temperature, strain and stress",
     "unit-missing": lambda fields: f"save a struct next to it with units.{fields['channel']} = '{_unit_of(fields)}'",
@@ -73,7 +73,8 @@ _CURES_OF_MAT: dict[str, Callable[[Fields], str]] = {
         "name its variables temperature and strain, with a struct units: units.strain = '%'"
     ),
 }
-_CURES_OF_OTHERS: dict[str, Callable[[Fields], str]] = {
+# A ROS bag or MCAP file, whose fields are only mapped in a rig.
+_CURES_OF_TOPICS: dict[str, Callable[[Fields], str]] = {
     "unknown-column": lambda fields: "rename it in the file, or remove it",
     "unit-missing": lambda fields: f"write the header like '{fields['example']}'",
     "channel-missing": lambda fields: f"add a column '{fields['example']}'",
@@ -89,11 +90,12 @@ def with_cure_of_this_command(error: InputError, path: Path | None, reading: Map
         reading: Options of reading by name.
     """
     ending = path.suffix.lower() if path else ""
-    of_format = _CURES_OF_TEXT if ending in _TEXT_ENDINGS else _CURES_OF_MAT if ending == ".mat" else _CURES_OF_OTHERS
+    of_format = _CURES_OF_TOPICS if ending in TOPIC_SUFFIXES else _CURES_OF_COLUMNS
+    of_format = _CURES_OF_MAT if ending == ".mat" else of_format
     cure = {**_CURES, **of_format}.get(error.code)
     if cure is None:
         return error
-    hint = _columns_hint(path, reading) if path and ending in _TEXT_ENDINGS else _COLUMNS_HINT
+    hint = _columns_hint(path, reading) if path and ending not in (*TOPIC_SUFFIXES, ".mat") else _COLUMNS_HINT
     return error.with_cure(cure({**error.fields, "columns_hint": hint}))
 
 

@@ -56,10 +56,6 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
             from smajax.recordings.readers.mat import MatTable
 
             return [MatTable(path, options)]
-        if options.columns is not None and suffix in SUFFIXES:
-            cure = "give the file headers like 'temperature [degC]', or map its own under [channels] in the rig"
-            problem = f"columns cannot be named in files ending in {suffix}, which have headers"
-            raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
         if suffix == ".parquet":
             from smajax.recordings.readers.parquet import ParquetTable
 
@@ -70,6 +66,11 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
             return [*open_groups(path, options)]
         if suffix in TOPIC_SUFFIXES:
             from smajax.recordings.readers.topics import TopicTable
+
+            if options.columns is not None:
+                cure = "map its fields under [channels] in the rig"
+                problem = f"columns cannot be named in files ending in {suffix}, which name their fields"
+                raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
 
             return [TopicTable(path, options)]
     except OSError as error:

@@ -216,8 +216,7 @@ class CsvTable(Table):
                 pending += piece
                 if len(pending) > 2 * BLOCK and b"\n" not in pending:
                     raise InputError(f"{self.path}: a row is longer than {BLOCK} bytes: end every row with a line feed")
-                blank = b" \r\n" if self.delimiter != " " else b"\r\n"
-                end = len(pending[: pending.rfind(b"\n") + 1].rstrip(blank))
+                end = len(pending[: pending.rfind(b"\n") + 1].rstrip(b" \r\n"))
                 end = pending.find(b"\n", end) + 1 if end else 0
                 if end:
                     yield pending[:end].replace(b"\r\n", b"\n")
@@ -251,7 +250,8 @@ class CsvTable(Table):
         if self.decimal == ",":
             block = block.replace(b",", b".")
         try:
-            numbers = np.loadtxt(io.BytesIO(block), delimiter=self.delimiter, comments=None, ndmin=2)
+            delimiter = None if self.delimiter == " " else self.delimiter  # None: one or more spaces
+            numbers = np.loadtxt(io.BytesIO(block), delimiter=delimiter, comments=None, ndmin=2)
         except ValueError:
             return None
         is_full = numbers.shape == (block.count(b"\n"), len(self.headers)) and bool(np.isfinite(numbers).all())
@@ -264,6 +264,8 @@ class CsvTable(Table):
             raise InputError(f"{place}: the row is longer than {_LONGEST_ROW} bytes: end every row with a line feed")
         try:
             cells = self._cells(line, row)
+            if len(cells) == len(self.headers) + 1 and not cells[-1]:  # the row ends with a delimiter
+                cells.pop()
             if len(cells) != len(self.headers):
                 raise self._ragged_error(place, cells)
         except InputError:

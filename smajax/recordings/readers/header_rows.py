@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from smajax.errors import InputError
 from smajax.recordings.read_options import ReadOptions
@@ -86,12 +87,36 @@ def _named(place: str, row: int, cells: Sequence[str], options: ReadOptions) -> 
         count = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
         cure = "name every column, with - for one to ignore, or set skip_rows if the table begins further down"
         raise InputError(f"{place}: row {row}: {count}: {cure}", code="columns-count", cure=cure)
-    if not has_header(cells, options):
-        return headers
-    units = [cell[cell.find("[") :] if cell.endswith("]") and "[" in cell else "" for cell in cells]
+    return _with_units_of(headers, cells) if has_header(cells, options) else headers
+
+
+def replaced_headers(path: Path, headers: Sequence[str], options: ReadOptions) -> tuple[str, ...]:
+    """Return the headers of a file that is no text, or those of the caller in their place.
+
+    Args:
+        path: The file, for the message.
+        headers: Headers in the file.
+        options: Options of reading.
+
+    Raises:
+        InputError: If other columns are named than the file has.
+    """
+    if options.columns is None:
+        return tuple(headers)
+    if len(options.columns) != len(headers):
+        has = f"the file has {len(headers)} ({', '.join(headers)})"
+        problem = f"the number of named columns is {len(options.columns)}, and {has}"
+        cure = "name every column, with - for one to leave out"
+        raise InputError(f"{path}: {problem}: {cure}", code="columns-number", cure=cure)
+    return _with_units_of(options.columns, headers)
+
+
+def _with_units_of(names: Sequence[str], headers: Sequence[str]) -> tuple[str, ...]:
+    """Return names with the units of the headers that they replace, unless they have one."""
+    units = [header[header.find("[") :] if header.endswith("]") and "[" in header else "" for header in headers]
     return tuple(
-        f"{header} {unit}" if unit and "[" not in header and header != "-" else header
-        for header, unit in zip(headers, units, strict=True)
+        f"{name} {unit}" if unit and "[" not in name and name != "-" else name
+        for name, unit in zip(names, units, strict=True)
     )
 
 

@@ -27,6 +27,7 @@ from smajax.recordings.readers.base import (
     row_error,
 )
 from smajax.recordings.readers.encoding import decode_row, open_as_utf8
+from smajax.recordings.readers.header_rows import replaced_headers
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
 
 LINE_SUFFIXES = (".jsonl", ".ndjson")
@@ -54,6 +55,7 @@ class JsonTable(Table):
         self._options = options
         self.first_row: int = options.skip_rows + 1
         self._columns: dict[str, array[float]] = {}
+        self._named_lists = False
         # First bad row, and first bad cell of each column, with its row.
         self._bad_row: tuple[int, InputError] | None = None
         self._bad_cells: dict[str, tuple[int, InputError]] = {}
@@ -66,23 +68,24 @@ class JsonTable(Table):
         if not self._columns:
             error = self._bad_row[1] if self._bad_row else InputError(f"{path}: there are no rows: record at least two")
             raise error
-        self.headers: tuple[str, ...] = tuple(self._columns)
+        self._keys = tuple(self._columns)
+        self.headers: tuple[str, ...] = self._keys if self._named_lists else replaced_headers(path, self._keys, options)
         self.stamps: Mapping[int, StampColumn] = {
-            k: self._first_stamps[h][0] for k, h in enumerate(self.headers) if h in self._first_stamps
+            k: self._first_stamps[key][0] for k, key in enumerate(self._keys) if key in self._first_stamps
         }
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
-        headers = [self.headers[index] for index in indices]
-        for index, header in zip(indices, headers, strict=True):
-            if header in self._first_stamps and index not in self.stamps:
-                _, row, text = self._first_stamps[header]
-                raise number_error(f"{self.path}: row {row}, column '{header}'", text, self._options.decimal)
+        keys = [self._keys[index] for index in indices]
+        for index, key in zip(indices, keys, strict=True):
+            if key in self._first_stamps and index not in self.stamps:
+                _, row, text = self._first_stamps[key]
+                raise number_error(f"{self.path}: row {row}, column '{key}'", text, self._options.decimal)
         errors = [self._bad_row] if self._bad_row else []
-        errors += [self._bad_cells[header] for header in headers if header in self._bad_cells]
+        errors += [self._bad_cells[key] for key in keys if key in self._bad_cells]
         if errors and not lenient:
             raise min(errors, key=lambda pair: pair[0])[1]
-        return self.unwrap_stamps(indices, [np.array(self._columns[header]) for header in headers])
+        return self.unwrap_stamps(indices, [np.array(self._columns[key]) for key in keys])
 
     def sha256(self) -> str:
         """Return the SHA-256 of the file in hexadecimal."""
@@ -158,9 +161,7 @@ class JsonTable(Table):
         place = f"{self.path}: row {row}"
         if isinstance(value, list) and self._options.columns is not None:
             value = _named(place, value, self._options.columns)
-        elif isinstance(value, dict) and self._options.columns is not None:
-            cure = 'leave columns out, and map keys under [channels], as in force = {column = "F", unit = "N"}'
-            raise InputError(f"{place}: columns are for rows that are lists, and this one has keys: {cure}")
+            self._named_lists = True
         if not isinstance(value, dict | InputError):
             kind = "a list" if isinstance(value, list) else f"'{shortened(json.dumps(value))}'"
             hint = ", or columns are named" if isinstance(value, list) else ""

@@ -11,6 +11,7 @@ import numpy as np
 from smajax.errors import InputError, first_line
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table, file_sha256, number_error, refuse_if_too_large, row_error
+from smajax.recordings.readers.header_rows import replaced_headers
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps, seconds_of_times
 
 # Name that pandas gives the index of a DataFrame without a name.
@@ -55,7 +56,8 @@ class ParquetTable(Table):
             raise InputError(
                 f"{path}: the file is not readable as Parquet ({first_line(error)}): write it again, or use CSV"
             ) from None
-        self.headers: tuple[str, ...] = tuple(str(name).strip() for name in self._file.schema_arrow.names)
+        names = [str(name).strip() for name in self._file.schema_arrow.names]
+        self.headers: tuple[str, ...] = replaced_headers(path, names, options)
         self.stamps: Mapping[int, StampColumn] = self._find_stamps(options)
         index = [k for k in self.stamps if _INDEX.fullmatch(self.headers[k])]
         if index:

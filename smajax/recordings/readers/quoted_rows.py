@@ -24,7 +24,7 @@ def divide_row(line: str, delimiter: str, quoted: bool) -> list[str]:
 
     Args:
         line: The row, without its end.
-        delimiter: Character between cells.
+        delimiter: Character between cells; a space stands for one or more.
         quoted: Whether rows are in quotation marks as a whole.
 
     Raises:
@@ -32,6 +32,8 @@ def divide_row(line: str, delimiter: str, quoted: bool) -> list[str]:
     """
     if quoted and _is_quoted(line, delimiter):
         line = next(csv.reader([line], delimiter=delimiter))[0]
+    if delimiter == " ":  # columns that are aligned by spaces have several between two cells
+        return [cell.strip() for cell in next(csv.reader([line.strip()], delimiter=" ", skipinitialspace=True), [""])]
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [""])]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from smajax.errors import InputError, first_line
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
+from smajax.recordings.readers.header_rows import replaced_headers
 from smajax.recordings.readers.sheets import choose_sheets
 from smajax.recordings.readers.time_stamps import StampColumn, seconds_of_times
 
@@ -43,7 +44,7 @@ def open_groups(path: Path, options: ReadOptions) -> list["TdmsTable"]:
     if not filled:
         raise InputError(f"{path}: no group has a channel with values: record at least two rows of data")
     names, notes = choose_sheets(path, options, filled, filled, "group")
-    return [TdmsTable(path, name, groups[name], notes, several=len(names) > 1) for name in names]
+    return [TdmsTable(path, name, groups[name], options, notes, several=len(names) > 1) for name in names]
 
 
 @final
@@ -54,6 +55,7 @@ class TdmsTable(Table):
         path: The file.
         group: Name of the group.
         channels: Its channels, without their values.
+        options: Options of reading.
         notes: Notes on groups that are left out.
         several: Whether several groups are read, so that messages name this one.
     """
@@ -61,13 +63,23 @@ class TdmsTable(Table):
     first_row = 1
     label_kind = "group"
 
-    def __init__(self, path: Path, group: str, channels: Sequence[Any], notes: tuple[str, ...], *, several: bool):
+    def __init__(
+        self,
+        path: Path,
+        group: str,
+        channels: Sequence[Any],
+        options: ReadOptions,
+        notes: tuple[str, ...],
+        *,
+        several: bool,
+    ):
         self.path: str = f"{path}: group '{group}'" if several else str(path)
         self._file, self._group = path, group
         self.label: str = group if several else ""
         self.notes = notes
         self._channels = list(channels)
-        self.headers: tuple[str, ...] = tuple(_header(channel) for channel in channels)
+        headers = [_header(channel) for channel in channels]
+        self.headers: tuple[str, ...] = replaced_headers(path, headers, options)
         self.stamps: Mapping[int, StampColumn] = {
             k: StampColumn(None, datetime.date.min) for k, c in enumerate(channels) if c.dtype.kind in "mM"
         }

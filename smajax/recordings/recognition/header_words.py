@@ -54,6 +54,8 @@ _SYMBOLS = {
     "\u03b5": "strain",
     "\u03c3": "stress",
 }
+# Name of the time in text files of LabVIEW, whose x axis it is.
+_LABVIEW_TIME = "X_Value"
 # Words that may stand with a symbol or word without changing what it is.
 _NEUTRAL = _words("sma wire meas measured actual in out input output sensor raw the of mean avg")
 # Words that say that a column is not what was measured or applied.
@@ -157,8 +159,8 @@ def _words_of(name: str) -> list[str]:
 
 def _channel_in(name: str, words: list[str]) -> tuple[str | None, str]:
     """Return the channel that the words of a name say, and the word."""
-    if channel_of(name) is not None:
-        return channel_of(name), name
+    if channel_of(name) is not None or name == _LABVIEW_TIME:
+        return channel_of(name) or "time", name
     matches = [match for match in map(_channel_of_word, words) if match is not None]
     for first in _FIRST:
         for channel, word in matches:

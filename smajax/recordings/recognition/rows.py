@@ -44,9 +44,14 @@ def count_values(cells: Sequence[str], decimal: str, time_format: str | None = N
         decimal: Decimal sign.
         time_format: Format of time stamps; ``None`` for ISO 8601 and times of day.
     """
+    return len(_value_places(cells, decimal, time_format))
+
+
+def _value_places(cells: Sequence[str], decimal: str, time_format: str | None) -> set[int]:
+    """Return the numbers of the cells of a row that are numbers or time stamps."""
     numbers = [parse_number(cell, decimal) is not None for cell in cells]
     stamps = find_stamps([["" if number else cell for cell, number in zip(cells, numbers, strict=True)]], time_format)
-    return sum(numbers) + len(stamps)
+    return {k for k, is_number in enumerate(numbers) if is_number} | set(stamps)
 
 
 def find_rows(rows: Sequence[Sequence[str]], options: ReadOptions) -> RowRoles | None:
@@ -56,16 +61,21 @@ def find_rows(rows: Sequence[Sequence[str]], options: ReadOptions) -> RowRoles |
         rows: Texts of the cells of the first rows.
         options: Decimal sign and format of time stamps.
     """
-    counts = [count_values(cells, options.decimal, options.time_format) for cells in rows]
+    places = [_value_places(cells, options.decimal, options.time_format) for cells in rows]
+    counts = [len(values) for values in places]
     if not any(counts):
         return None
     width = usual_width(rows, counts)
-    usual = max(c for c, cells in zip(counts, rows, strict=True) if len(cells) == width)
-    is_data = [
-        len(cells) == width and _is_data(cells, count, _DATA_SHARE * usual)
-        for cells, count in zip(rows, counts, strict=True)
+    wide = [values for values, cells in zip(places, rows, strict=True) if values and len(cells) == width]
+    least = _DATA_SHARE * max(map(len, wide))
+    columns = {k for k in range(width) if sum(k in values for values in wide) > _DATA_SHARE * len(wide)}
+    is_data = [len(cells) == width and _is_data(cells, count, least) for cells, count in zip(rows, counts, strict=True)]
+    # A row of a head, such as "X0 0.0 0.0", has a text where data have a value.
+    has_text = [
+        any(k not in values and not is_missing(cells[k]) for k in columns if k < len(cells))
+        for cells, values in zip(rows, places, strict=True)
     ]
-    data = is_data.index(True)
+    data = next((k for k, data in enumerate(is_data) if data and not has_text[k]), is_data.index(True))
     header = next((k for k in range(data - 1, -1, -1) if _is_header(rows[k], width, counts[k])), None)
     units = None
     if header is not None and is_units_row(rows[header], len(rows[header])):

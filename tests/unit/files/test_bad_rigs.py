@@ -443,7 +443,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     ),
     "decimal comma between commas": (
         DEAD,
-        {"": '\n[channels]\ndecimal = ","'},
+        {"": '\n[channels]\ndelimiter = ","\ndecimal = ","'},
         'channels.delimiter and channels.decimal are both ",": set delimiter = ";" or "\\t"',
     ),
     # Parameter sets

@@ -112,6 +112,14 @@ def test_a_recorded_fan_needs_its_effect_and_the_effect_its_column():
         notes(cooled, **channels)
 
 
+@pytest.mark.parametrize("effects", ["", '[effects.fan-cooling]\nstrength = "2"\n'])
+def test_a_fan_changes_nothing_where_the_temperature_is_prescribed(effects):
+    text = RIG.replace('"power"', '"temperature"').replace('observe = ["temperature"]', 'observe = ["displacement"]')
+    text = text.replace('[heat]\nh0 = "45 W/m^2/K"\ncapacity = "2.6 MJ/m^3/K"\n', "").replace("heat.h0", "load.mass")
+    (note,) = notes(text + effects, temperature=20.0 + ROWS, displacement=ROWS, fan=ROWS)
+    assert note == "recorded and not used, since a dead-weight rig has no such input or output: fan"
+
+
 @pytest.mark.parametrize(("austenite", "change"), [(1.0, "rises"), (0.6, "falls"), (0.8, None)])
 def test_the_sign_of_an_observed_resistance_is_named(austenite, change):
     law = f'[material]\nresistivity_austenite = "{austenite} uohm m"\nresistivity_martensite = "0.8 uohm m"\n'

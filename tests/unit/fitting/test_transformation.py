@@ -8,8 +8,10 @@ import pytest
 
 from smajax import parameters
 from smajax.app.commands.check import describe
+from smajax.errors import InputError
 from smajax.fitting.fit import fit
 from smajax.fitting.fit_warnings import transformation_notices
+from smajax.fitting.profile import profile_likelihood
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
 from smajax.recordings.datasets import data_path
 from smajax.report import summary
@@ -122,8 +124,9 @@ def test_fits_without_parameters_of_a_transformation_are_not_checked():
     ("profile", "words"),
     [
         (None, "--profile x shows whether other values fit as well"),
-        ({"lower95": None, "upper95": None}, "as its profile shows, these recordings fit about as well with any value"),
-        ({"lower95": 1.0, "upper95": None}, "small changes of it do not change the model."),
+        ({"rise": [1.0, 0.0, 2.0]}, "as its profile shows, these recordings fit about as well with any value"),
+        ({"rise": [9.0, 0.0, 2.0]}, "small changes of it do not change the model."),
+        ({"rise": [None, 0.0, 2.0]}, "small changes of it do not change the model."),
     ],
 )
 def test_only_a_search_says_that_any_value_fits(profile, words):
@@ -135,3 +138,24 @@ def test_only_a_search_says_that_any_value_fits(profile, words):
     }
     (sentence,) = summary._undetermined_sentences(document)
     assert words in sentence and ("any value" in sentence) == ("profile shows," in words)
+
+
+def test_a_parameter_that_is_not_determined_has_a_profile_over_its_bounds(monkeypatch):
+    """One cycle under 100 MPa: a slope C moves A_s by 100 MPa / C, up to 50 MPa/K, so that a shift can be replaced."""
+    plant = plants.stress_path()
+    slope = "material.clausius_clapeyron_austenite"
+    recording = measured(plant, cycle(60.0), "strain", 1e-5)
+    settings = Settings(free=(*SHIFTS, slope), observe=("strain",), starts=1)
+    result = fit(plant, [recording], settings)
+    assert result.estimates[0].lower95 is None
+    profile = profile_likelihood(result, SHIFTS[0])
+    assert profile["values"][0] == -200.0
+    assert np.all(profile["rise"][:-1] < 3.84) and profile["rise"][-1] > 3.84
+    exact = 100e6 / float(plant.material.clausius_clapeyron_austenite) - 100e6 / 50e6
+    assert profile["lower95"] is None and profile["upper95"] == pytest.approx(exact, abs=0.4)
+    assert profile_likelihood(result, slope)["upper95"] is None
+    monkeypatch.setattr(
+        type(result.problem), "bounds", property(lambda self: (np.full(3, -np.inf), np.full(3, np.inf)))
+    )
+    with pytest.raises(InputError, match="has no bounds: give it bounds under"):
+        profile_likelihood(result, SHIFTS[0])

@@ -205,7 +205,7 @@ TABLE = [
     ),
     (
         "header_cell_blank",
-        "time [s],current [A],\n0,0.3,\n1,0.3,\n",
+        "time [s],current [A],\n0,0.3,\n1,0.3,7\n",
         {},
         "wire.csv: column 3 has no header: write one like 'current [A]', or leave the column out with "
         '[channels] ignore = [""] in the rig',

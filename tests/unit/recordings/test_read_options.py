@@ -72,6 +72,10 @@ LAYOUTS: dict[str, tuple[str | bytes, dict[str, Any]]] = {
     "dates without header": (TABLE.replace("0,30", "2024-03-01 12:00:00,30").replace("5,60", "2024-03-01 12:00:05,60").replace("10,90", "2024-03-01 12:00:10,90"), {"columns": ("time", *COLUMNS[1:])}),
     "time of day over midnight": (GOOD.replace("\n0,", "\n23:59:55,").replace("\n5,", "\n00:00:00.0,").replace("\n10,", "\n0:00:05,"), {}),
     "format": (GOOD.replace("\n0,", "\n01.03.2024 12:00:00,").replace("\n5,", "\n01.03.2024 12:00:05,").replace("\n10,", "\n01.03.2024 12:00:10,"), {"time_format": "%d.%m.%Y %H:%M:%S"}),
+    "several spaces": (" " + TABLE.replace(",", "   ").replace("\n", " \n  "), {"columns": COLUMNS, "delimiter": " "}),
+    "several spaces and stamps": ("time temperature strain\n 12:00:00   30    4\n 12:00:05   60    2\n 12:00:10   90  0.5 \n", {"columns": COLUMNS, "delimiter": " "}),
+    "delimiter at the end of each row": (GOOD.replace("\n", ",\n"), {}),
+    "delimiter at the end of the rows of data": (",".join(COLUMNS) + "\n" + TABLE.replace("\n", ",\n"), {}),
     "milliseconds": (GOOD.replace("[s]", "[ms]").replace("\n5,", "\n5000,").replace("\n10,", "\n10000,"), {}),
     "sample period": ("temperature [degC],strain [%]\n30,4\n60,2\n90,0.5\n", {"sample_period": "5 s"}),
     "row numbers": (",temperature [degC],strain [%]\n0,30,4\n1,60,2\n2,90,0.5\n", {"sample_period": 5.0}),
@@ -129,6 +133,12 @@ def test_raw_numbers_are_scaled(read):
     assert recording.channels["duty"].tolist() == [0.0, 1.0] and recording.time.tolist() == [0.0, 0.02]
     assert recording.channels["voltage"].tolist() == [0.0, 5.0]
     assert "force was read as (-0.0087 * number + 7.5) N of column 'load cell', as the rig says" in recording.notes
+
+
+def test_a_value_that_a_wrong_scale_makes_impossible_names_the_scale(read):
+    mapping = {"duty": ChannelMap("pwm", full_scale=255.0)}
+    with pytest.raises(InputError, match="of 1.56863 is above 1: correct factor, offset or full_scale of duty under"):
+        read("time [s],pwm\n0,0\n1,400\n2,30\n", mapping=mapping)
 
 
 def test_values_beyond_the_limits_of_a_register_count_as_the_limit(read, tmp_path):
@@ -319,6 +329,21 @@ def test_sheets_are_named_or_all_and_those_left_out_are_named(workbook):
 
 
 RESTARTED = {"time": [0.0, 1.0, 2.0, 0.0, 1.0, 2.0], "current": [0.0, 0.1, np.nan, 0.3, 0.4, 0.5]}
+
+
+def test_a_workbook_with_decimal_commas_needs_no_delimiter(tmp_path):
+    book = openpyxl.Workbook()
+    for row in (COLUMNS, *(line.replace(".", ",").split(";") for line in ("0;30;4", "5;60;2", "10;90;0.5"))):
+        book.active.append(row)
+    book.save(tmp_path / "cycle.xlsx")
+    assert_is_the_cycle(read_recording(tmp_path / "cycle.xlsx", decimal=","))
+    options = parse_rig(RIG + '[recording]\ndecimal = ","\n').recording
+    assert_is_the_cycle(read_recording(tmp_path / "cycle.xlsx", options=options))
+
+
+def test_a_column_without_header_and_values_is_left_out_and_noted(read):
+    recording = read(GOOD.replace("\n", ",\n"))
+    assert recording.notes == ("column 4, with neither a header nor values in the first rows, was left out",)
 
 
 def test_a_recording_and_a_table_in_memory_are_split(tmp_path):

@@ -45,6 +45,7 @@ def temperature(t):
         ("PWM", "duty", None),
         ("T", "temperature", None),
         ("t", "time", None),
+        ("X_Value", "time", None),
         ("T_amb", "ambient", None),
         ("room temp", "ambient", None),
         ("MCPtemp_0", "temperature", None),
@@ -158,6 +159,26 @@ def test_title_lines_units_row_and_a_blank_row_before_the_data(tmp_path):
     assert recognise(path, {}, {}).options.changed() == {"skip_rows": 2}
     assert taken(path, f"{head}\n{rows}")["Load"] == "force [N]"
     assert recognise(path, {}, {}).options.columns == ("Time", "Temp", "Load")
+
+
+def test_the_heads_of_labview_are_no_data_also_where_they_have_numbers(tmp_path):
+    block = ["Samples\t30\t30\t", "X0\t0,0\t0,0\t", "Delta_X\t0,5\t0,5\t", "***End_of_Header***\t\t\t"]
+    names = "X_Value\tCurrent\tTemperature\tComment"
+    rows = [f"{k / 2:.6f}\t{k % 3:.6f}\t{24 + k / 7:.6f}\t".replace(".", ",") for k in range(30)]
+    path = tmp_path / "log.txt"
+    path.write_text("\n".join(["LabVIEW Measurement\t", "Date\t2025/03/01", "", *block, names, *rows] * 2) + "\n")
+    result = sma.import_recording(path)
+    assert [len(recording) for recording in result.recordings] == [30, 30]
+    assert all(recording.time[-1] == 14.5 for recording in result.recordings)
+    assert result.recordings[1].channels["temperature"][-1] == pytest.approx(24 + 29 / 7, abs=1e-6)
+
+
+def test_units_of_an_oscilloscope_are_words(tmp_path):
+    path = tmp_path / "scope.csv"
+    rows = "".join(f"{k / 5 - 2:.6E},{k % 5:.4E}\n" for k in range(20))
+    path.write_text("Model,DS1054Z\nSample Interval,0.2\n\nTIME,CH1\nSecond,Volt\n" + rows)
+    (recording,) = sma.import_recording(path).recordings
+    assert recording.time[0] == -2.0 and recording.channels["voltage"][4] == 4.0
 
 
 def test_repeated_and_blank_names_get_numbers(tmp_path):

@@ -360,6 +360,8 @@ def test_parquet_files_with_integers_and_gaps(tmp_path):
     parquet.write_table(pyarrow.table(table), path)
     with pytest.raises(InputError, match=r"row 2, column 'current \[A\]': the cell is blank or not finite"):
         read_recording(path, ignore=["state"])
+    named = read_recording(path, columns=["-", "current", "-"], sample_period="20 ms", drop_bad_rows=True)
+    np.testing.assert_array_equal(named.channels["current"], [0.1, 0.3, 0.2])
     recording = read_recording(path, ignore=["state"], drop_bad_rows=True)
     np.testing.assert_array_equal(recording.time, [0, 0.04, 0.06])
     assert recording.notes == ("1 of 4 rows with a blank or unreadable cell dropped on request: row 2",)

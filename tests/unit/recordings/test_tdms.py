@@ -56,6 +56,10 @@ LAYOUTS: dict[str, tuple[Channels, dict[str, Any]]] = {
         {"mapping": {"time": ChannelMap("Untitled", "ms")}},
     ),
     "dates": (with_time("time", DATES), {}),
+    "other names": (
+        [("Bench", "I", CURRENT, WAVEFORM), ("Bench", "Laser", STROKE, STROKE_PROPERTIES)],
+        {"columns": ("current [A]", "displacement")},
+    ),
     "sample period": (
         [(g, n, v, {"unit_string": p["unit_string"]}) for g, n, v, p in WAVE],
         {"sample_period": "20 ms"},
@@ -95,7 +99,7 @@ REFUSED: dict[str, tuple[Channels, dict[str, Any], str]] = {
     "missing group": (WAVE, {"sheet": "Bensh"}, "there is no group 'Bensh' (did you mean 'Bench'?): it has Bench"),
     "bad cell": ([("Bench", "current", np.where(CURRENT == 1, np.nan, CURRENT), CURRENT_PROPERTIES)], {}, "wire.tdms: row 3, column 'current [A]': the value is not finite: correct it"),
     "clock twice": (WAVE, {"sample_period": "20 ms"}, "there is a time column, and sample_period = 20 ms: remove sample_period"),
-    "names": (WAVE, {"columns": ("a", "b")}, "columns cannot be named in files ending in .tdms, which have headers: give the file headers like"),
+    "names": (WAVE, {"columns": ("a", "b", "c")}, "the number of named columns is 3, and the file has 2 (current [A], displacement [mm]): name every"),
     "texts": ([*WAVE, ("Bench", "force", np.array(["a", "b", "c", "d", "e"]), {"unit_string": "N"})], {}, "column 'force [N]': the values are texts and not numbers: record numbers"),
 }  # fmt: skip
 
