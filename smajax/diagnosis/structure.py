@@ -267,11 +267,13 @@ def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -
 
 
 def compare_variants(
-    evaluator: CandidateEvaluator, current: CandidateFit
+    plain: CandidateEvaluator, state: SelectionState, evaluator: CandidateEvaluator, current: CandidateFit
 ) -> tuple[Structure, CandidateEvaluator, CandidateFit]:
     """Fit every variant with the same effects and choose the simplest one that predicts as well as the best.
 
     Args:
+        plain: The evaluator of the problem without structure.
+        state: The state at the end of its forward selection.
         evaluator: The evaluator of the problem with structure.
         current: Its fit.
 
@@ -281,15 +283,34 @@ def compare_variants(
     problem = evaluator.problem
     has_cells = problem.base_problem.plant.cells is not None
     variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
-    fits: dict[str, tuple[CandidateEvaluator, CandidateFit]] = {variants[-1]: (evaluator, current)}
-    for variant in variants[:-1]:
-        held = evaluator.on(holding(problem, held_values(variant, has_cells)))
-        fits[variant] = held, refit(held, current, current.refit.effect_set)
+    fits = {variants[0]: (plain, _fit_without(plain, state, current)), variants[-1]: (evaluator, current)}
+    for variant in variants[1:-1]:
+        fits[variant] = _fit_held(evaluator, current, held_values(variant, has_cells))
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
     best = min(errors, key=lambda v: errors[v])
     chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))
-    cells = CELLS if chosen in ("cells", "both") else 1
-    return Structure(chosen, cells, 1 if chosen == "neither" else GRAINS, errors), *fits[chosen]
+    if chosen not in ("cells", "both"):
+        return Structure(chosen, 1, 1 if chosen == "neither" else GRAINS, errors), *fits[chosen]
+    # Uneven convection stays only where it predicts clearly better: elsewhere it absorbs other differences.
+    even = _fit_held(*fits[chosen], {UNEVEN: 0.0})
+    uneven_is_better = clearly_better(*even, *fits[chosen])
+    return Structure(chosen, CELLS, GRAINS, errors), *(fits[chosen] if uneven_is_better else even)
+
+
+def _fit_held(
+    evaluator: CandidateEvaluator, fit: CandidateFit, values: Mapping[str, float]
+) -> tuple[CandidateEvaluator, CandidateFit]:
+    """The fit of the same effects with parameters held, and its evaluator."""
+    held = evaluator.on(holding(evaluator.problem, values))
+    return held, refit(held, fit, fit.refit.effect_set)
+
+
+def _fit_without(plain: CandidateEvaluator, state: SelectionState, fit: CandidateFit) -> CandidateFit:
+    """The fit of the same effects without structure."""
+    for earlier in (state.base_fit, state.current):
+        if set(earlier.keys) == set(fit.keys):
+            return earlier
+    return refit(plain, state.current, fit.refit.effect_set)
 
 
 def clearly_better(

@@ -29,6 +29,11 @@ from smajax.diagnosis.successive_halving import successive_halving
 from smajax.diagnosis.support import judge_effects
 from smajax.progress import CallbackStop
 
+# Number of fits with one effect that get a second one next to the structure, and of effects that each of them gets.
+# Chosen by trial.
+_PARENTS = 3
+_SECOND_EFFECTS = 2
+
 Selected = tuple[CandidateEvaluator, SelectionState, Structure]
 
 
@@ -83,12 +88,15 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
     )
     inner.stage_shares, inner.ranking = state.stage_shares, state.ranking
-    _add_effects(structured, inner, [f for f in fits if f.keys])
+    beam = _add_effects(structured, inner, [f for f in fits if f.keys])
+    if len(inner.accepted) == 1 and not facts.keys:
+        report_progress("fitting a second effect next to cells and grains")
+        _add_effects(structured, inner, successive_halving(structured, _second_candidates(structured, beam)))
     judge_effects(structured, inner)
     if not _replaces(evaluator, state, structured, inner.current):
         return evaluator, state, UNIFORM
     report_progress("comparing cells alone, grains alone, both, and neither")
-    structure, chosen, fit = compare_variants(structured, inner.current)
+    structure, chosen, fit = compare_variants(evaluator, state, structured, inner.current)
     if structure.variant == "neither":
         return evaluator, state, structure
     inner.accepted_fits = []  # fits of another variant
@@ -121,21 +129,34 @@ def _replaces(
     return clearly_better(evaluator, state.base_fit, structured, fit)
 
 
-def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: list[CandidateFit]) -> None:
-    """Add the effects of the best fit next to the structure."""
+def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: list[CandidateFit]) -> list[CandidateFit]:
+    """Add the effects of the best fit next to the structure. Return the best fits, none if no effect was added."""
     problem, current = evaluator.problem, state.current
     if current.at_noise:
-        return
+        return []
     fits = plausible_fits(problem, state, [fit for fit in fits if fit.train_chi2 < current.train_chi2])
     best = min(fits, key=lambda fit: fit.total_chi2, default=None)
     if best is None:
-        return
+        return []
     best = refit(evaluator, best, best.refit.effect_set)
     if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
         state.rejected.append(reason)
-        return
-    accept(state, best, fits, problem.samples)
+        return []
+    beam = accept(state, best, fits, problem.samples)
     drop_unneeded_effects(evaluator, state)
+    return beam
+
+
+def _second_candidates(evaluator: CandidateEvaluator, beam: list[CandidateFit]) -> list[Candidate]:
+    """The effects of the largest scores at the best fits with one effect, each pair of effects once."""
+    candidates: dict[frozenset[str], Candidate] = {}
+    for fit in beam[:_PARENTS]:
+        scores = evaluator.scores(fit.refit)
+        largest = sorted((s.gain, key) for key, s in scores.best.items() if s.gain > 0.0)[-_SECOND_EFFECTS:]
+        for gain, key in reversed(largest):
+            candidate = Candidate(fit.refit, key, scores.best[key].strength, scores.shapes[key], gain)
+            candidates.setdefault(frozenset((*fit.keys, key)), candidate)
+    return list(candidates.values())
 
 
 def _candidates(
