@@ -59,12 +59,15 @@ def error_budget(
         after: The fit with structure and effects.
     """
     problem, keys = evaluator.problem, list(state.accepted)
+    fits = {frozenset(keys): after}
 
     def fit(effect_set: EffectSet) -> Refit:
-        if set(effect_set.keys) == set(keys):
-            return after
-        stride = evaluator.stride(state.base_fit.train_chi2)
-        return refit_jointly(problem, evaluator.fit(effect_set, after.base, stride))
+        names = frozenset(effect_set.keys)
+        if names not in fits:
+            stride = evaluator.stride(state.base_fit.train_chi2)
+            start = evaluator.fit(effect_set, after.base, stride) if names else state.base_fit.refit
+            fits[names] = refit_jointly(problem, start)
+        return fits[names]
 
     models: list[tuple[str, Callable[[], Series]]] = [(BASE, lambda: _series(rig, before))]
     if structure.effects:

@@ -219,17 +219,13 @@ def held_values(variant: str, has_cells: bool) -> dict[str, float]:
     return values | (_WITHOUT_CELLS if has_cells and variant in ("neither", "grains") else {})
 
 
-def fit_with_structure(
-    evaluator: CandidateEvaluator, effect_set: EffectSet, without: CandidateFit, first: CandidateFit | None = None
-) -> CandidateFit:
+def fit_with_structure(evaluator: CandidateEvaluator, effect_set: EffectSet, without: CandidateFit) -> CandidateFit:
     """Fit a set of effects together with the structure, from several positive starts.
 
     Args:
         evaluator: The evaluator of the problem with structure.
         effect_set: The effects, with start values of their parameters.
         without: The fit without structure; the values of the structure follow its parameters in the base vector.
-        first: A fit with structure and other effects, from which this one starts, too; by default from the rig's
-            values.
 
     Returns:
         The best fit to the training split.
@@ -239,10 +235,12 @@ def fit_with_structure(
         np.append(base, _structure_values(problem, spread, uneven))
         for spread, uneven in zip(_START_SPREADS, _START_UNEVEN, strict=True)
     ]
-    starts = [problem.nominal, *near] if first is None else [first.refit.base, near[0]]
     stride = evaluator.stride(without.train_chi2)
     free = tuple(problem.free_effect_parameters(effect_set))
-    searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
+    searches = [
+        problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride)
+        for start in (problem.nominal, *near)
+    ]
     best = min(map_in_pairs(lambda s: s.advance(_START_STEPS), searches), key=lambda s: s.cost)
     return evaluator.evaluate(problem.refit_from(evaluator.continue_if_needed(best.advance(_STEPS))))
 

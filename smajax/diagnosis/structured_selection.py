@@ -77,7 +77,7 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     facts = _allowed_effects(problem, state.current.refit.effect_set)
     # On one cell and one grain, effects may absorb what the structure explains: it is fitted without them, too.
     base = fit_with_structure(structured, EffectSet(), state.current)
-    fits = [base, *([fit_with_structure(structured, facts, state.current, base)] if facts.keys else [])]
+    fits = [base, *([fit_with_structure(structured, facts, state.current)] if facts.keys else [])]
     if not state.accepted:
         report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
         fits += successive_halving(structured, *_candidates(structured, base, state))
