@@ -158,7 +158,6 @@ class OptimistixSearch:
             history=self._history,
         )
 
-
     def _is_stationary(self, k: int, residual: jax.Array, jacobian: jax.Array) -> bool:
         """Whether the best point of a search is a minimum within the bounds."""
         bounds = self._searches[k][0]

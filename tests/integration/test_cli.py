@@ -296,6 +296,26 @@ def test_ctrl_c_keeps_the_best_point(bench, fitted, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.parametrize("command", ["fit", "simulate"])
+def test_ctrl_c_while_the_results_are_written_keeps_them(bench, monkeypatch, command):
+    shown = []
+
+    def phase(self, text):
+        shown.append(text)
+        if text == "writing the report":
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Progress, "phase", phase)
+    before, out = signal.getsignal(signal.SIGINT), bench / f"{command}-written"
+    result = smajax(command, bench / "rig.toml", bench / "train.csv", "--out", out)
+    assert result.exit_code == 130, result.output
+    assert shown[-1] == "writing the results; press Ctrl-C again to stop at once, without them"
+    complete = f"they are complete, in {out.resolve()}"
+    assert result.stderr.endswith(f"smajax: interrupted when there were results already; {complete}\n")
+    assert json.loads((out / "run.json").read_text())["exit_code"] == 0 and (out / "report.html").is_file()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_a_simulation_is_a_recording_again(bench):
     result = smajax("simulate", bench / "rig.toml", bench / "more.csv", "--out", bench / "simulated")
     assert result.exit_code == 0, result.output
