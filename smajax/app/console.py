@@ -56,7 +56,7 @@ class CommandProgress:
         """Show an event.
 
         Raises:
-            KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop.
+            KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop, or before it when there was a result.
         """
         raise_on_interrupt()
         if event.step is None:
@@ -66,7 +66,7 @@ class CommandProgress:
             self._display.phase(event.text)
         else:
             self._display.step(event.text)
-        if self._requested and event.can_stop:
+        if (self._requested or self.interrupted) and event.can_stop:
             raise KeyboardInterrupt
 
     def _handle(self) -> None:

@@ -108,7 +108,7 @@ def _cut_sentence(doc: Document, channel: str) -> str:
     note = "" if holdout is None else ", before any choice by the holdout"
     part = "the holdout"
     if holdout and holdout.get("interval_of") == "second half":
-        part, note = "the second half of the holdout", ", which had no part in the choice: the first half decided"
+        part, note = "the second half of the holdout, which had no part in the choice,", ""
     elif holdout and holdout["decided"]:  # an earlier version
         note = ", after selection: the holdout decided that the effects stay"
     return f"The error of {channel} on {part} falls by {low} to {high} {rmse['unit']} (95 %{note})."

@@ -15,12 +15,13 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from smajax.app import cli
+from smajax.app.console import CommandProgress
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.parameter_sets import read_header, read_parameters
 from smajax.files.rig_file import read_rig
-from smajax.progress import Progress
+from smajax.progress import Progress, ProgressEvent
 from smajax.recordings import datasets, read
 from smajax.recordings.recording import Recording
 from smajax.report.documents import FitDocument
@@ -314,6 +315,19 @@ def test_ctrl_c_while_the_results_are_written_keeps_them(bench, monkeypatch, com
     assert result.stderr.endswith(f"smajax: interrupted when there were results already; {complete}\n")
     assert json.loads((out / "run.json").read_text())["exit_code"] == 0 and (out / "report.html").is_file()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_ctrl_c_when_there_is_a_result_stops_the_next_search(monkeypatch):
+    """As that which follows the checks of a tuning."""
+    events = [ProgressEvent("tuning", can_stop=True), ProgressEvent("checking", has_result=True)]
+    with CommandProgress(Progress(quiet=True)) as progress:
+        for event in events:
+            progress(event)
+        signal.raise_signal(signal.SIGINT)
+        assert progress.interrupted
+        progress(ProgressEvent("exporting", has_result=True))
+        with pytest.raises(KeyboardInterrupt):
+            progress(ProgressEvent("tuning again", can_stop=True))
 
 
 def test_a_simulation_is_a_recording_again(bench):

@@ -154,10 +154,8 @@ def tune_controller(
             identified, or there is no objective.
         NumericsError: if no gains have a finite cost.
     """
-    progress = Reporter() if progress is None else progress
-    timer, seed = _Timer(progress), settings.seed if seed is None else seed
-    with timer.part("read"):
-        draws = draw_parameters(rig, settings, seed)
+    progress, seed = progress or Reporter(), settings.seed if seed is None else seed
+    timer, draws = _Timer(progress), draw_parameters(rig, settings, seed)
     settings, identified = _with_feedforward(settings, timer)
     file_weights = settings.weights
     with timer.part("start", "evaluating the start gains"):
@@ -171,8 +169,7 @@ def tune_controller(
     other_weights = weights is not file_weights
     progress.finish("checking")
     with timer.part("check"):
-        gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
-        checks = {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
+        checks = _checks(settings, result, draws)
     if checks and not result.interrupted:
         with timer.part("tune"):
             result, checks, is_start = _checked_gains(settings, problem, result, checks, draws, seed, progress)
@@ -289,6 +286,12 @@ def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: in
     # Gains that are limited, or tuned for several plants, are evaluated as they are.
     spread = 0.0 if settings.limits or settings.settle or robust else GAIN_SPREAD
     return TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, members, noise, spread)
+
+
+def _checks(settings: ControllerFile, result: TuningResult, draws: Mapping[str, np.ndarray]) -> dict[str, DrawChecks]:
+    """The checks of the start gains and of the tuned ones on draws; empty without draws."""
+    gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
+    return {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
 
 
 def _checked_gains(

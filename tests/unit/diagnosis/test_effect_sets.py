@@ -202,8 +202,7 @@ def words_of_the_holdout(document, page) -> None:
     text = " ".join(sentences(split))
     assert "The first half of the holdout decided that the effects stay" in text
     assert "the interval of their fall is of the second half, which had no part in the choice: check" in text
-    words = "on the second half of the holdout falls by", "which had no part in the choice: the first half decided)."
-    assert all(part in page(split) for part in words)
+    assert "on the second half of the holdout, which had no part in the choice, falls by" in page(split)
     removed = stays | {"effects": [], "holdout": {"decided": True, "removed": ["creep"]}, "verdict": "unresolved"}
     assert "rejected creep, which did not reduce its error" in " ".join(sentences(removed))
     earlier = {k: v for k, v in document.items() if k not in ("holdout", "effect_parameters", "interrupted")}
