@@ -28,12 +28,14 @@ class ProgressEvent(NamedTuple):
         step: Number of steps that are done in this phase; ``None`` at the beginning of a phase.
         total: Number of steps of the phase; ``None`` if it is not known.
         can_stop: Whether the work can stop here with the best result so far.
+        has_result: Whether the work has its result already, so that a request to stop is ignored.
     """
 
     text: str
     step: int | None = None
     total: int | None = None
     can_stop: bool = False
+    has_result: bool = False
 
 
 ProgressCallback = Callable[[ProgressEvent], object]
@@ -64,8 +66,12 @@ def stoppable(callback: Callable[_Arguments, object]) -> Callable[_Arguments, No
 class PhasesAndSteps(Protocol):
     """What long work reports to: a ``Reporter`` or a ``Progress``."""
 
-    def phase(self, text: str) -> None:
-        """Report the beginning of a phase."""
+    def phase(self, text: str, *, can_stop: bool = False) -> None:
+        """Report the beginning of a phase, and whether a ``KeyboardInterrupt`` of its steps ends it with a result."""
+        ...
+
+    def finish(self, text: str) -> None:
+        """Report a phase in which a request to stop is ignored."""
         ...
 
     def step(self, text: str, step: int = 0) -> None:
@@ -121,13 +127,13 @@ class Reporter:
         self._report(ProgressEvent(text, step, total, self._last.can_stop))
 
     def finish(self, text: str) -> None:
-        """Report the last phase; a request to stop is ignored, since there is a result already.
+        """Report a phase in which a request to stop is ignored, since there is a result already.
 
         Args:
             text: What is being done.
         """
         with contextlib.suppress(Cancelled, KeyboardInterrupt):
-            self._report(ProgressEvent(text))
+            self._report(ProgressEvent(text, has_result=True))
 
     def _report(self, event: ProgressEvent) -> None:
         self._last = event
@@ -182,9 +188,13 @@ class Progress:
         if self._bar:
             self._bar.stop()
 
-    def phase(self, text: str) -> None:
+    def phase(self, text: str, *, can_stop: bool = False) -> None:
         """Report the beginning of a phase of the work; ``text`` is shown as it is."""
         self._report(text, always=True)
+
+    def finish(self, text: str) -> None:
+        """Report a phase; there is no request to stop."""
+        self.phase(text)
 
     def step(self, text: str, step: int = 0) -> None:
         """Report progress within a phase; without a terminal, at most one line every two seconds."""

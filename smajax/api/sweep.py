@@ -23,7 +23,6 @@ from smajax.arguments import as_path, check_type
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.result_folder import check_output_folder
 from smajax.progress import ProgressCallback, Reporter
-from smajax.recordings.readers.parquet import pyarrow_parquet
 from smajax.recordings.recording import Recording
 from smajax.report.documents import read_document, read_run
 from smajax.report.sweep_document import sweep_document
@@ -89,15 +88,9 @@ class SweepStudy(Study):
         return self.document["sensitivity"]
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the table of the designs, one row each; its columns have their units in brackets.
+        """Return the table of the designs, one row each; its columns have their units in brackets."""
+        import pandas
 
-        Raises:
-            InputError: If pandas is not installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError("to_pandas needs pandas: install it with pip install 'smajax[io]'") from None
         return pandas.DataFrame(
             {f"{n} [{self.units[n]}]" if n in self.units else n: v for n, v in self.designs.items()}
         )
@@ -143,7 +136,6 @@ def sweep(
             out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="smajax-"))) / "sweep"
         else:
             out = check_output_folder(as_path("sweep", "folder", folder, "the path of the result folder"))
-        pyarrow_parquet(Path("sweep.parquet") if folder is None else out, instead="")  # before any computation
         return _sweep(path, out, folder is not None, scheduler, resume, reporter, argv)
 
 

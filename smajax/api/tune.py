@@ -15,7 +15,7 @@ from smajax.control.analysis.closed_loop_checks import GainEvaluation, wire_chan
 from smajax.control.controller_file.read import ControllerFile, read_controller
 from smajax.control.export.files import export_files
 from smajax.control.tuning.tuning_study import ControllerTuning, tune_controller
-from smajax.errors import NumericsError
+from smajax.errors import Cancelled, NumericsError
 from smajax.files.toml import read_text
 from smajax.progress import ProgressCallback, Reporter
 from smajax.report.documents import TuneDocument
@@ -70,12 +70,12 @@ def tune(
 
     Returns:
         The study. ``success`` is false if the start or tuned gains are unstable, the rig cannot follow the reference, a
-        limit is not met, or draws fail; the study then has the best gains.
+        limit is not met, draws fail, or the tuning was stopped; the study then has the best gains so far.
 
     Raises:
         InputError: If a file is not valid.
         NumericsError: If no gains have a finite cost.
-        Cancelled: If the callback stopped the tuning.
+        Cancelled: If the callback stopped the tuning before there were gains.
     """
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
@@ -88,15 +88,21 @@ def tune(
             "rig.toml": rig_text(rig).encode(),
             "controller.toml": read_text(path, "controller").encode(),
         }
-    result = tune_controller(rig, settings, seed=seed, progress=reporter)
+    try:
+        result = tune_controller(rig, settings, seed=seed, progress=reporter)
+    except KeyboardInterrupt:
+        if not reporter.stopped:
+            raise
+        raise Cancelled("the tuning was cancelled before its first step had ended: there are no gains") from None
     clock.timings |= {name: seconds + clock.timings.get(name, 0.0) for name, seconds in result.timings.items()}
-    reporter.phase("exporting")
+    reporter.finish("exporting")
     with clock.time("export"):
         exports = export_files(result)
     document: dict[str, Any] = tune_document(result) | {"left_out": exports.missing}
     document["summary"] = tuning_summary(document)
     reason = "; ".join(document["problems"])
-    run = run_record("tune", rig.name, clock, result.seed, NumericsError.exit_code if reason else 0)
+    code = Cancelled.exit_code if result.interrupted else NumericsError.exit_code
+    run = run_record("tune", rig.name, clock, result.seed, code if reason else 0)
     reporter.finish("writing the report")
     evaluations = (("start gains", result.start), ("tuned gains", result.tuned))
     return TuningStudy(

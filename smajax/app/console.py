@@ -25,7 +25,11 @@ class CommandProgress:
     """Progress callback of a command: shows the events, and turns the first Ctrl-C into a request to stop.
 
     In a phase that can stop, the first Ctrl-C does not raise an exception, since it could be lost during a compilation;
-    the work stops after its step. The second one ends the process. In other phases Ctrl-C raises ``KeyboardInterrupt``.
+    the work stops after its step. Where the work has its result already, the first Ctrl-C is noted, and the result is
+    written. The second one ends the process. In other phases Ctrl-C raises ``KeyboardInterrupt``.
+
+    Attributes:
+        interrupted: Whether Ctrl-C was pressed while the result was written, or too late to stop the work before.
     """
 
     def __init__(self, display: Progress):
@@ -36,7 +40,8 @@ class CommandProgress:
         """
         self._display = display
         self._previous: Any = None
-        self._handling = self._requested = False
+        self._handling = self._requested = self._has_result = False
+        self.interrupted: bool = False
 
     def __enter__(self) -> "CommandProgress":
         self._display.__enter__()
@@ -51,15 +56,17 @@ class CommandProgress:
         """Show an event.
 
         Raises:
-            KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop.
+            KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop, or before it when there was a result.
         """
         raise_on_interrupt()
         if event.step is None:
+            self._has_result = event.has_result
+            self.interrupted |= self._requested and event.has_result
+            self._handle() if event.can_stop or event.has_result else self._restore()
             self._display.phase(event.text)
-            self._handle() if event.can_stop else self._restore()
         else:
             self._display.step(event.text)
-        if self._requested and event.can_stop:
+        if (self._requested or self.interrupted) and event.can_stop:
             raise KeyboardInterrupt
 
     def _handle(self) -> None:
@@ -72,10 +79,14 @@ class CommandProgress:
         self._handling = self._requested = False
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self._requested:
+        if self.interrupted or (self._requested and not self._has_result):
             self._display.close()
             _print_error("interrupted; nothing was written")
             os._exit(Cancelled.exit_code)
+        if self._has_result:
+            self.interrupted = True
+            self._display.phase("writing the results; press Ctrl-C again to stop at once, without them")
+            return
         self._requested = True
         self._display.phase(
             "stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once"

@@ -13,7 +13,7 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
 from smajax.diagnosis.detectability import Detectability, detectability_from_score
-from smajax.diagnosis.error_budget import BudgetEntry
+from smajax.diagnosis.error_budget import BudgetEntry, second_half
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.other_laws import LawComparison
@@ -40,7 +40,7 @@ class Conclusion:
         unresolved_stage: The stage that an unexplained residual comes from.
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
-        holdout_decided: Whether the holdout decided that the effects stay, or that they were rejected.
+        holdout_decided: Whether the first half of the holdout decided that the effects stay or are rejected.
         structure: The structure of the wire.
         error_budget: Errors by what was added to the model.
         law: Comparison with other material laws; ``None`` where it was not asked for.
@@ -110,10 +110,10 @@ class Diagnosis:
         base_fit_converged: Whether the base fit of the training split converged.
         reduced_chi2: Reduced chi-squared of ``before`` and ``after`` on the training split, and its limit.
         rmse: RMSE, SI, by channel and "train_before", ..., "holdout_after".
-        cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel; after selection, and so perhaps too
-            favourable, where ``holdout_decided`` is true.
-        holdout_decided: Whether the holdout had a part in the choice of the effects: where they leave more than noise,
-            they are rejected unless they improve it.
+        cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel; of its second half, which has no part in
+            any choice, where ``holdout_decided`` is true.
+        holdout_decided: Whether the first half of the holdout had a part in the choice of the effects: where they leave
+            more than noise, they are rejected unless they improve it.
         rejected: Effects that were not accepted, and why.
         intervals: 95 % intervals of the effects' parameters, SI.
         estimates: All fitted parameters of the accepted effects.
@@ -206,7 +206,7 @@ def summarise(
         base_fit_converged=state.base_fit_converged,
         reduced_chi2=(before_chi2, after_chi2, state.chi2_limit),
         rmse=_errors(series, noise),
-        cut95=_cuts(evaluator, predictions),
+        cut95=_cuts(evaluator, predictions, conclusion.holdout_decided),
         holdout_decided=conclusion.holdout_decided,
         rejected=_rejections(state),
         intervals=intervals,
@@ -227,10 +227,13 @@ def summarise(
 
 
 def _cuts(
-    evaluator: CandidateEvaluator, predictions: Mapping[str, list[dict[str, np.ndarray]]]
+    evaluator: CandidateEvaluator, predictions: Mapping[str, list[dict[str, np.ndarray]]], holdout_decided: bool
 ) -> dict[str, tuple[float, float]]:
-    """95 % interval of the fall of the holdout's RMSE by channel, SI."""
-    before, after = (predictions[when][HOLDOUT] for when in ("before", "after"))
+    """95 % interval of the fall of the holdout's RMSE by channel, SI; of its second half if the first one decided."""
+    before, after = (
+        {c: second_half(v) if holdout_decided else v for c, v in predictions[when][HOLDOUT].items()}
+        for when in ("before", "after")
+    )
     return {c: bootstrap_cut(before[c], after[c], evaluator.seed) for c in before}
 
 

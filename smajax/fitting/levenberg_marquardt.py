@@ -59,6 +59,7 @@ class SolverStatus(enum.IntEnum):
     steps = 4
     interrupted = 5
     diverged = 6
+    not_stationary = 7
 
     @property
     def text(self) -> str:
@@ -72,6 +73,8 @@ class SolverStatus(enum.IntEnum):
             SolverStatus.interrupted: "interrupted; the best point so far is kept",
             SolverStatus.diverged: "the solver ended far above its best point, which is kept and is no minimum: start "
             "nearer, or give a solver with damping or a trust region",
+            SolverStatus.not_stationary: "the solver ended at a point where the cost still falls along its gradient, "
+            "which is no minimum: start nearer, give it smaller tolerances, or leave solver out",
         }[self]
 
 
@@ -250,6 +253,28 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
     ) -> tuple[Any, ...]:
         """Return the solution as it is."""
         return y, aux, {}
+
+
+def predicted_decrease(
+    y: Float[Array, " p"],
+    residual: Float[Array, " m"],
+    jacobian: Float[Array, "m p"],
+    lower: Float[Array, " p"],
+    upper: Float[Array, " p"],
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return the decrease of the cost that the linear model predicts within the bounds, and the largest step to it.
+
+    Both are 0 where the gradient, projected on the bounds, is 0.
+
+    Args:
+        y: The point.
+        residual: Residual there.
+        jacobian: Jacobian there.
+        lower: Lower bounds.
+        upper: Upper bounds.
+    """
+    trial, predicted = _propose(y, residual, jacobian, jnp.asarray(_INITIAL_DAMPING), lower, upper)
+    return predicted, jnp.max(jnp.abs(trial - y), initial=0.0)
 
 
 def _next_damping(state: LMState, decrease: jax.Array, accept: jax.Array, first: jax.Array) -> jax.Array:

@@ -1,8 +1,9 @@
-"""Check of what the methods of an own material or mechanism return, in words, before a compiler meets it.
+"""Check of what the methods of an own material or mechanism take and return, in words, before a compiler meets it.
 
 The methods are traced and not computed. Those of smajax's own classes are left to its tests.
 """
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -21,40 +22,87 @@ _NUMBERS = int | float | np.generic | np.ndarray | jax.Array
 
 
 def check_material(material: AbstractMaterial, shape: tuple[int, ...]) -> None:
-    """Check the shapes and types of what the methods of an own material return.
+    """Check what the methods of an own material take, and the shapes and types of what they return.
 
     Args:
         material: The material.
         shape: Shape of the temperatures of the plant: ``(wires,)``, with cells ``(cells, wires)``.
 
     Raises:
-        InputError: If a method returns no array, or one of another shape or type.
+        InputError: If a method takes other arguments than it is given, returns no array, or one of another shape or
+            type. What a method itself raises comes through with a note.
     """
-    if _is_checked(material):
+    if is_checked(material):
+        _check_arguments(material)
         _trace(lambda: _call_material(material, shape))
         _trace(lambda: _call_material(material, ()))  # for the modulus and the resistivity of austenite
 
 
 def check_mechanism(mechanism: AbstractMechanism, material: AbstractMaterial, context: MechanismContext) -> None:
-    """Check the shapes and types of what the methods of an own mechanism return.
+    """Check what the methods of an own mechanism take, and the shapes and types of what they return.
 
     Args:
-        mechanism: The mechanism.
+        mechanism: The mechanism, one for which ``is_checked`` is true.
         material: A material, for the fractions as installed.
         context: Wire, environment and scale.
 
     Raises:
-        InputError: If a method returns no array, one of another shape or type, or other channels than it should.
+        InputError: If a method takes other arguments than it is given, returns no array, one of another shape or type,
+            or other channels than it should. What a method itself raises comes through with a note.
     """
-    if _is_checked(mechanism):
-        _trace(lambda: _call_mechanism(mechanism, material, context))
+    _check_arguments(mechanism)
+    _trace(lambda: _call_mechanism(mechanism, material, context))
 
 
-def _is_checked(module: eqx.Module) -> bool:
-    """Whether a class is not of smajax, and its parameters are of double precision, without which nothing runs."""
-    if type(module).__module__.partition(".")[0] == "smajax" or not jax.config.read("jax_enable_x64"):
+def is_checked(module: eqx.Module) -> bool:
+    """Whether a class is not of smajax, and its parameters are of double precision, without which nothing runs.
+
+    Args:
+        module: A material or a mechanism.
+    """
+    if _is_shipped(type(module)) or not jax.config.read("jax_enable_x64"):
         return False
     return all(leaf.dtype == np.float64 for leaf in jax.tree.leaves(module) if eqx.is_inexact_array(leaf))
+
+
+def _is_shipped(cls: type[Any]) -> bool:
+    return cls.__module__.partition(".")[0] == "smajax"
+
+
+def _check_arguments(module: eqx.Module) -> None:
+    """Check that the methods that an own class redefines take the arguments of those of smajax."""
+    cls = type(module)
+    own = {name for base in cls.__mro__ if not _is_shipped(base) for name in vars(base)}
+    for base in filter(_is_shipped, cls.__mro__):
+        for name in sorted(own & {name for name in vars(base) if not name.startswith("_")}):
+            if inspect.isfunction(expected := getattr(base, name)):
+                own.discard(name)  # the bases of this one may have other arguments
+                _check_parameter_list(cls, name, base, list(inspect.signature(expected).parameters))
+
+
+def _check_parameter_list(cls: type[Any], method: str, base: type[Any], expected: list[str]) -> None:
+    """Check that a method, which is called without keywords, can take the arguments of its base class."""
+    function, cure = getattr(cls, method), f"write def {method}({', '.join(expected)}), as in {base.__name__}"
+    if not callable(function):
+        raise InputError(f"{cls.__name__}: {method} is a {type(function).__name__} and no method: {cure}")
+    signature = inspect.signature(function)
+    is_static = isinstance(inspect.getattr_static(cls, method), staticmethod | classmethod)
+    try:
+        signature.bind(*expected[is_static:])
+    except TypeError:
+        taken = f"{method}({', '.join(map(str, signature.parameters.values()))})"
+        raise InputError(f"{cls.__name__}: {taken} takes other arguments than it is given: {cure}") from None
+
+
+def _returned(module: Any, method: str, *arguments: Any) -> Any:
+    """Return what a method returns; what it raises gets a note."""
+    try:
+        return getattr(module, method)(*arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        error.add_note(f"raised by {method} of {type(module).__name__}, which is traced once where a plant is made")
+        raise
 
 
 def _trace(calls: Callable[[], None]) -> None:
@@ -71,16 +119,16 @@ def _call_material(material: AbstractMaterial, shape: tuple[int, ...]) -> None:
     array = jnp.zeros(shape)
     fractions, ends = Fractions(array, array), (array, array)
     if isinstance(material, AbstractBandKinetics):
-        _check_number(material, "remaining_share", material.remaining_share(array), shape)
+        _check_number(material, "remaining_share", _returned(material, "remaining_share", array), shape)
     if isinstance(material, AbstractOneFraction):
-        _check_number(material, "remainder", material.remainder(array, array), shape)
-    _check_fractions(material, "evolve", material.evolve(fractions, ends, ends), shape)
+        _check_number(material, "remainder", _returned(material, "remainder", array, array), shape)
+    _check_fractions(material, "evolve", _returned(material, "evolve", fractions, ends, ends), shape)
     for method in ("modulus", "resistivity", "transformation_strain"):
-        _check_number(material, method, getattr(material, method)(fractions), shape)
-    current = material.current_transformation_strain(array)
+        _check_number(material, method, _returned(material, method, fractions), shape)
+    current = _returned(material, "current_transformation_strain", array)
     _check_number(material, "current_transformation_strain", current, shape)
-    _check_array(material, "strain", material.strain(fractions, array, array, array), shape)
-    _check_fractions(material, "installed_fractions", material.installed_fractions(array), shape)
+    _check_array(material, "strain", _returned(material, "strain", fractions, array, array, array), shape)
+    _check_fractions(material, "installed_fractions", _returned(material, "installed_fractions", array), shape)
 
 
 def _call_mechanism(mechanism: AbstractMechanism, material: AbstractMaterial, context: MechanismContext) -> None:
@@ -88,31 +136,31 @@ def _call_mechanism(mechanism: AbstractMechanism, material: AbstractMaterial, co
     unknowns, strain = (mechanism.unknowns,), jnp.zeros(wires)
     prescribed: dict[str, Any] = dict.fromkeys(mechanism.prescribed, number)
     if isinstance(mechanism, AbstractElasticLoad):
-        _check_array(mechanism, "force", mechanism.force(strain), wires)
-    unknown = mechanism.initial_unknowns(prescribed, context)
+        _check_array(mechanism, "force", _returned(mechanism, "force", strain), wires)
+    unknown = _returned(mechanism, "initial_unknowns", prescribed, context)
     _check_array(mechanism, "initial_unknowns", unknown, unknowns)
-    stress = mechanism.stress(unknown, prescribed, context)
+    stress = _returned(mechanism, "stress", unknown, prescribed, context)
     _check_array(mechanism, "stress", stress, wires)
-    installed = mechanism.fractions(material, strain, prescribed, context)
+    installed = _returned(mechanism, "fractions", material, strain, prescribed, context)
     _check_fractions(mechanism, "fractions", installed, wires)
-    motion = mechanism.initial_motion(strain)
+    motion = _returned(mechanism, "initial_motion", strain)
     if isinstance(mechanism, AbstractDisplacement):
         _check_array(mechanism, "initial_motion", motion, ())
     _check_motion(mechanism, "initial_motion", motion, motion)
-    balance = mechanism.balance(unknown, strain, motion, prescribed, context, number)
+    balance = _returned(mechanism, "balance", unknown, strain, motion, prescribed, context, number)
     _check_array(mechanism, "balance", balance, unknowns)
-    after = mechanism.update_motion(unknown, strain, motion, context, number)
+    after = _returned(mechanism, "update_motion", unknown, strain, motion, context, number)
     _check_motion(mechanism, "update_motion", after, motion)
-    _check_number(mechanism, "contraction", mechanism.contraction(strain), ())
-    _check_number(mechanism, "longest_step", mechanism.longest_step(context), ())
-    _check_array(mechanism, "with_drag", mechanism.with_drag(stress, number), wires)
+    _check_number(mechanism, "contraction", _returned(mechanism, "contraction", strain), ())
+    _check_number(mechanism, "longest_step", _returned(mechanism, "longest_step", context), ())
+    _check_array(mechanism, "with_drag", _returned(mechanism, "with_drag", stress, number), wires)
     if not mechanism.obstacle_to_rates:
-        complete = mechanism.complete_motion(unknown, strain, motion, context)
+        complete = _returned(mechanism, "complete_motion", unknown, strain, motion, context)
         _check_motion(mechanism, "complete_motion", complete, motion)
-        _check_motion(mechanism, "motion_rates", mechanism.motion_rates(complete), motion)
-        balance = mechanism.balance_at_motion(unknown, strain, complete, prescribed, context)
+        _check_motion(mechanism, "motion_rates", _returned(mechanism, "motion_rates", complete), motion)
+        balance = _returned(mechanism, "balance_at_motion", unknown, strain, complete, prescribed, context)
         _check_array(mechanism, "balance_at_motion", balance, unknowns)
-    _check_channels(mechanism, mechanism.channels(strain, stress, motion, context))
+    _check_channels(mechanism, _returned(mechanism, "channels", strain, stress, motion, context))
 
 
 def _check_array(module: eqx.Module, method: str, result: Any, shape: tuple[int, ...]) -> None:

@@ -31,7 +31,7 @@ from smajax.plant.effects.hook_results import checked_memory, checked_result, ch
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
-from smajax.plant.own_methods import check_material, check_mechanism
+from smajax.plant.own_methods import check_material, check_mechanism, is_checked
 from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
@@ -84,11 +84,11 @@ class PlantStages(CellsAndGrains):
     effects: tuple[AbstractEffect, ...] = ()
 
     def __check_init__(self) -> None:
-        """Check the types of the stages, and what the methods of an own material or mechanism return.
+        """Check the types of the stages, and what the methods of an own material or mechanism take and return.
 
         Raises:
-            InputError: If a stage is of another type; the message names classes that it may be of. If a method returns
-                another shape or type; the message names the class and the method.
+            InputError: If a stage is of another type; the message names classes that it may be of. If a method takes
+                other arguments or returns another shape or type; the message names the class and the method.
         """
         if not isinstance(self.effects, tuple | list):
             raise InputError(
@@ -105,7 +105,8 @@ class PlantStages(CellsAndGrains):
             if keys.count(key) > 1:
                 raise InputError(f"{type(self).__name__}: effects has '{key}' twice: give each effect once")
         check_material(self.material, self.temperature_shape)
-        check_mechanism(self.mechanism, self.effective_material, self._mechanism_context())
+        if is_checked(self.mechanism):
+            check_mechanism(self.mechanism, self.effective_material, self._mechanism_context())
 
     @property
     def signals(self) -> tuple[str, ...]:

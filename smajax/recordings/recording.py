@@ -168,15 +168,9 @@ class Recording:
         write_table(Path(path), self._columns())
 
     def to_pandas(self) -> Any:
-        """Return a DataFrame in the units of the recording, with the time as its index; reading it gives the same.
+        """Return a DataFrame in the units of the recording, with the time as its index; reading it gives the same."""
+        import pandas
 
-        Raises:
-            InputError: If pandas is not installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError(f'{self.name}: DataFrames need pandas: run pip install "smajax[io]"') from None
         columns = self._columns()
         time_header = next(iter(columns))
         index = pandas.Index(columns.pop(time_header), name=time_header) if self.has_clock else None

@@ -41,9 +41,6 @@ def _write_csv(path: Path, columns: Mapping[str, NDArray[np.float64]]) -> None:
 
 
 def _write_parquet(path: Path, columns: Mapping[str, NDArray[np.float64]]) -> None:
-    from smajax.recordings.readers.parquet import pyarrow_parquet
+    import pyarrow.parquet
 
-    parquet = pyarrow_parquet(path)
-    import pyarrow
-
-    parquet.write_table(pyarrow.table(dict(columns)), path)
+    pyarrow.parquet.write_table(pyarrow.table(dict(columns)), path)

@@ -175,7 +175,9 @@ def _goodness_of_fit(diagnosis: Diagnosis) -> dict[str, Any]:
 def _holdout_entry(diagnosis: Diagnosis) -> dict[str, Any]:
     """Whether the holdout had a part in the choice of the effects, and which of them it removed."""
     removed = [r.key for r in diagnosis.rejected if r.code is RejectionCode.holdout]
-    return {"decided": diagnosis.holdout_decided, "removed": removed}
+    decided = diagnosis.holdout_decided
+    halves = {"decided_by": "first half" if decided else None, "interval_of": "second half" if decided else "all rows"}
+    return {"decided": decided, "removed": removed} | halves
 
 
 def _estimate_entry(estimate: EffectEstimate) -> dict[str, Any]:

@@ -106,9 +106,12 @@ def _cut_sentence(doc: Document, channel: str) -> str:
     rmse, holdout = doc["rmse"][channel], doc.get("holdout")
     low, high = (significant(end) for end in rmse["holdout_cut_95"])
     note = "" if holdout is None else ", before any choice by the holdout"
-    if holdout and holdout["decided"]:
+    part = "the holdout"
+    if holdout and holdout.get("interval_of") == "second half":
+        part, note = "the second half of the holdout, which had no part in the choice,", ""
+    elif holdout and holdout["decided"]:  # an earlier version
         note = ", after selection: the holdout decided that the effects stay"
-    return f"The error of {channel} on the holdout falls by {low} to {high} {rmse['unit']} (95 %{note})."
+    return f"The error of {channel} on {part} falls by {low} to {high} {rmse['unit']} (95 %{note})."
 
 
 def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:

@@ -180,9 +180,12 @@ def _holdout_sentences(doc: Document) -> list[str]:
         if entry["removed"]
         else "decided that the effects stay, since they reduce its error"
     )
+    by_half = entry.get("interval_of") == "second half"  # absent in documents of earlier versions
+    part = "first half of the holdout" if by_half else "holdout"
+    interval = "; the interval of their fall is of the second half, which had no part in the choice" if by_half else ""
     return [
-        f"The holdout {decision}, so the errors on it are after selection and may be too favourable: check them on a "
-        "recording that was not used."
+        f"The {part} {decision}, so the errors on the holdout are after selection and may be too favourable{interval}: "
+        "check them on a recording that was not used."
     ]
 
 

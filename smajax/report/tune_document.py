@@ -115,7 +115,8 @@ def _gain_table(settings: ControllerFile, start: GainEvaluation, tuned: GainEval
 def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
     """Return the reasons why the result or the start is not usable."""
     settings, start, tuned = study.settings, study.start, study.tuned
-    problems = [f"the start gains are unstable: {_instability_words(start.unstable)}"] if start.unstable else []
+    problems = ["the tuning was interrupted, and these are the best gains so far"] if study.interrupted else []
+    problems += [f"the start gains are unstable: {_instability_words(start.unstable)}"] if start.unstable else []
     if not start.unstable and start.margins.unstable:
         margins = margin_words(start.margins.gain, start.margins.phase)
         problems.append(f"the start gains are unstable, linearised along their rollout, with {margins}")

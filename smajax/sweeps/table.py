@@ -1,4 +1,4 @@
-"""Table of a sweep as a Parquet file, with a header that reproduces the sweep. Needs pyarrow."""
+"""Table of a sweep as a Parquet file, with a header that reproduces the sweep."""
 
 import json
 import os
@@ -10,7 +10,6 @@ import numpy as np
 
 from smajax.errors import InputError, first_line
 from smajax.files.renamed_keys import current_name
-from smajax.recordings.readers.parquet import pyarrow_parquet
 
 # Key of the header in the file's metadata.
 KEY = b"smajax.sweep"
@@ -33,10 +32,9 @@ def write_table(
         units: Units by column; a column with a unit is called ``name [unit]``.
 
     Raises:
-        InputError: If the file cannot be written, or pyarrow is not installed.
+        InputError: If the file cannot be written.
     """
-    parquet = pyarrow_parquet(path)
-    import pyarrow
+    import pyarrow.parquet
 
     units = units or {}
     names = [f"{n} [{units[n]}]" if n in units else n for n in columns]
@@ -46,7 +44,7 @@ def write_table(
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            parquet.write_table(table, file, compression="zstd")
+            pyarrow.parquet.write_table(table, file, compression="zstd")
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
@@ -61,11 +59,12 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     """Read the columns of a table, shape ``(m,)`` each, by current name without the unit.
 
     Raises:
-        InputError: If the file is not readable, or pyarrow is not installed.
+        InputError: If the file is not readable.
     """
-    parquet = pyarrow_parquet(path)
+    import pyarrow.parquet
+
     try:
-        table = parquet.read_table(path)
+        table = pyarrow.parquet.read_table(path)
     except Exception as error:  # pyarrow raises many kinds of exceptions for damaged files
         problem = f"the file is not readable as Parquet ({first_line(error)})"
         raise InputError(f"{path}: {problem}: remove it, and run the sweep again with --resume") from None
@@ -73,12 +72,10 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_units(path: Path) -> dict[str, str]:
-    """Read the units of a table by current name of the column.
+    """Read the units of a table by current name of the column."""
+    import pyarrow.parquet
 
-    Raises:
-        InputError: If pyarrow is not installed.
-    """
-    names = pyarrow_parquet(path).read_schema(path).names
+    names = pyarrow.parquet.read_schema(path).names
     parts = (name.partition(" [") for name in names if " [" in name)
     return {current_name(name): unit.removesuffix("]") for name, _, unit in parts}
 
@@ -87,11 +84,12 @@ def read_header(path: Path) -> dict[str, Any]:
     """Read the header of a sweep's table.
 
     Raises:
-        InputError: If the file is not the table of a sweep, or pyarrow is not installed.
+        InputError: If the file is not the table of a sweep.
     """
-    parquet = pyarrow_parquet(path)
+    import pyarrow.parquet
+
     try:
-        metadata = parquet.read_schema(path).metadata or {}
+        metadata = pyarrow.parquet.read_schema(path).metadata or {}
         header = json.loads(metadata[KEY])
         return {name: header[name] for name in _REQUIRED} | header
     except Exception:  # as above; or the header is missing

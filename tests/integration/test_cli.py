@@ -15,12 +15,13 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from smajax.app import cli
+from smajax.app.console import CommandProgress
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.parameter_sets import read_header, read_parameters
 from smajax.files.rig_file import read_rig
-from smajax.progress import Progress
+from smajax.progress import Progress, ProgressEvent
 from smajax.recordings import datasets, read
 from smajax.recordings.recording import Recording
 from smajax.report.documents import FitDocument
@@ -294,6 +295,39 @@ def test_ctrl_c_keeps_the_best_point(bench, fitted, monkeypatch):
     assert document["solver"]["steps"] == 1
     assert "the best point so far is kept" in result.stderr
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("command", ["fit", "simulate"])
+def test_ctrl_c_while_the_results_are_written_keeps_them(bench, monkeypatch, command):
+    shown = []
+
+    def phase(self, text):
+        shown.append(text)
+        if text == "writing the report":
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Progress, "phase", phase)
+    before, out = signal.getsignal(signal.SIGINT), bench / f"{command}-written"
+    result = smajax(command, bench / "rig.toml", bench / "train.csv", "--out", out)
+    assert result.exit_code == 130, result.output
+    assert shown[-1] == "writing the results; press Ctrl-C again to stop at once, without them"
+    complete = f"they are complete, in {out.resolve()}"
+    assert result.stderr.endswith(f"smajax: interrupted when there were results already; {complete}\n")
+    assert json.loads((out / "run.json").read_text())["exit_code"] == 0 and (out / "report.html").is_file()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_ctrl_c_when_there_is_a_result_stops_the_next_search(monkeypatch):
+    """As that which follows the checks of a tuning."""
+    events = [ProgressEvent("tuning", can_stop=True), ProgressEvent("checking", has_result=True)]
+    with CommandProgress(Progress(quiet=True)) as progress:
+        for event in events:
+            progress(event)
+        signal.raise_signal(signal.SIGINT)
+        assert progress.interrupted
+        progress(ProgressEvent("exporting", has_result=True))
+        with pytest.raises(KeyboardInterrupt):
+            progress(ProgressEvent("tuning again", can_stop=True))
 
 
 def test_a_simulation_is_a_recording_again(bench):

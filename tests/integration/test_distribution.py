@@ -7,11 +7,13 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
 
 from tests.conftest import ROOT
 
@@ -27,6 +29,34 @@ META_FILES = {
     ".gitignore",
 }
 FOLDERS = {"smajax", "data", "tests", "experiments", "docs"}
+
+# A sweep and its table, where only the packages named in an argument can be imported.
+SWEEP_WITHOUT_EXTRAS = """
+import importlib.machinery, importlib.metadata, sys
+allowed, owners = set(sys.argv[1].split(",")), importlib.metadata.packages_distributions()
+class Finder(importlib.machinery.PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        distributions = {owner.lower().replace("_", "-") for owner in owners.get(name.partition(".")[0], ["smajax"])}
+        return super().find_spec(name, path, target) if allowed & distributions else None
+sys.meta_path = [Finder if finder is importlib.machinery.PathFinder else finder for finder in sys.meta_path]
+import smajax as sma
+swept = sma.sweep("sweep.toml")
+print(len(swept.pareto), len(swept.to_pandas()))
+"""
+
+
+def without_extras(requirements: list[str]) -> set[str]:
+    """Names of the distributions that these requirements bring where no extra is asked for."""
+    needed, waiting = {"smajax"}, [Requirement(text) for text in requirements]
+    while waiting:
+        requirement = waiting.pop()
+        name = requirement.name.lower().replace("_", "-")
+        if name in needed or (requirement.marker and not requirement.marker.evaluate({"extra": ""})):
+            continue
+        needed.add(name)
+        waiting += map(Requirement, metadata.requires(name) or [])
+    return needed
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +122,23 @@ def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, 
     place, *answers = result.stdout.split()
     assert Path(place).is_relative_to(tmp_path / "installed") and answers == ["True", "True"]
     assert (tmp_path / "installed" / "smajax" / "py.typed").is_file()
+
+
+def test_a_sweep_and_its_table_need_no_extra(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
+    requirements = next((tmp_path / "installed").glob("*.dist-info")) / "METADATA"
+    lines = requirements.read_text("utf-8").partition("\n\n")[0].splitlines()
+    needed = without_extras([line.partition(": ")[2] for line in lines if line.startswith("Requires-Dist: ")])
+    assert "jax" in needed and "openpyxl" not in needed
+    rigs = tmp_path / "installed" / "smajax" / "data"
+    text = (rigs / "sweeps" / "flexural.toml").read_text("utf-8").replace("designs = 256", "designs = 4")
+    (tmp_path / "sweep.toml").write_text(text.replace('"../', f'"{rigs}/'), "utf-8")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "installed"), "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-c", SWEEP_WITHOUT_EXTRAS, ",".join(needed)]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    front, designs = map(int, result.stdout.split())
+    assert 1 <= front <= designs == 4
 
 
 def test_the_types_of_all_public_names_are_complete(wheel, tmp_path):

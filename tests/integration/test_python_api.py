@@ -190,6 +190,43 @@ def test_a_study_that_was_stopped_has_the_same_reason_after_loading(call, reason
     assert json.loads((tmp_path / "stopped" / "run.json").read_text("utf-8"))["reason"] == reason
 
 
+@pytest.mark.parametrize("text", ["tuning: ", "checking"])
+def test_a_tuning_that_is_stopped_is_saved_with_the_best_gains(text, tmp_path):
+    controller = tmp_path / "controller.toml"
+    shipped = (
+        (ROOT / "data" / "controllers" / "dead-weight.toml").read_text("utf-8").replace("starts = 4", "starts = 1")
+    )
+    controller.write_text(shipped.partition("[limits]")[0].replace('"60 s"', '"12 s"').replace('"20 s"', '"4 s"'))
+    count = []
+
+    def stop(event):
+        count.append(event.text.startswith(text))
+        if sum(count) >= 3 or (event.text == text and event.has_result):
+            raise StopIteration
+
+    study = sma.tune(DATA / "rig.toml", controller, progress=stop)
+    if text == "checking":  # there are gains already
+        assert study.success
+        return
+    assert study.exit_code == 130 and not study.success and study.result.interrupted
+    assert study.reason.startswith("the tuning was interrupted, and these are the best gains so far")
+    assert study.document["problems"][0] in str(study)
+    assert study.metrics["rmse"] < study.document["metrics"]["start"]["rmse"]
+    study.save(tmp_path / "out")
+    assert (tmp_path / "out" / "controller.h").is_file()
+    loaded = sma.load(tmp_path / "out")
+    assert (loaded.exit_code, loaded.reason, loaded.gains) == (130, study.reason, study.gains)
+
+
+def test_a_tuning_that_is_stopped_before_its_first_step_has_no_gains():
+    def stop(event):
+        if event.can_stop:
+            raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match="the tuning was cancelled before its first step had ended"):
+        sma.tune(DATA / "rig.toml", ROOT / "data" / "controllers" / "dead-weight.toml", progress=stop)
+
+
 def test_a_property_is_taken_by_its_name_where_there_is_one_stress():
     one = sma.thermal_cycle_properties(ISOBARIC.with_name("cycles.csv"))
     low, high = one["austenite_finish"].interval

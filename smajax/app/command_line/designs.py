@@ -28,7 +28,7 @@ def tune(
         check_output_folder(out)
         study = tune_gains(rig, controller, seed=seed, progress=progress)
         study.save(out, argv=argv())
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 def sweep(
@@ -56,4 +56,4 @@ def sweep(
         study = simulate_designs(
             sweep_file, folder=out, scheduler=scheduler, resume=resume, progress=progress, argv=argv()
         )
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)

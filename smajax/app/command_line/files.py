@@ -55,7 +55,7 @@ def demo(
         study = diagnose_into(out, folder / "rig.toml", train, select=select, holdout=holdout, progress=progress)
     report = f"Report:  {out / 'report.html'}"
     after = f"\n{report}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
-    finish_run(study, out, quiet=quiet, open_report=open_report, after=after)
+    finish_run(study, out, progress, quiet=quiet, open_report=open_report, after=after)
 
 
 def init(

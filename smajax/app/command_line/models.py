@@ -63,7 +63,7 @@ def simulate(
         check_output_folder(out)
         study = predict(rig_with_reading(rig, reading), recording, progress=progress)
         study.save(out, argv=argv())
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 @with_reading
@@ -108,7 +108,7 @@ def fit(
             progress=progress,
         )
         study.save(out, argv=argv())
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 @with_reading
@@ -148,7 +148,7 @@ def diagnose(
             laws=laws,
             progress=progress,
         )
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 @with_reading
@@ -177,4 +177,4 @@ def compare(
             rig_with_reading(rig, reading), train, holdout=holdout, models=names, seed=seed, progress=progress
         )
         study.save(out, argv=argv())
-    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
+    finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)

@@ -9,7 +9,7 @@ import typer
 from smajax.app.command_line.options import Json
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import start_run
-from smajax.errors import InputError
+from smajax.errors import Cancelled, InputError
 
 if TYPE_CHECKING:
     from smajax.api.properties import PropertiesStudy
@@ -56,7 +56,7 @@ def properties(
 ) -> None:
     """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals."""
     options = {"smooth": smooth, "tangent": tangent.value, **reading}
-    study = _analyse(recordings, None if write_set is None else model, options, quiet)
+    study, interrupted = _analyse(recordings, None if write_set is None else model, options, quiet)
     if write_set is not None:
         _write_set(write_set, study)
     typer.echo(_as_json(study) if as_json else study.summary())
@@ -64,16 +64,21 @@ def properties(
         typer.echo(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
     if write_set is not None:
         typer.echo(f"smajax: {write_set.name}: {study.document['guessed']}", err=True)
+    if interrupted:
+        raise Cancelled("interrupted after the analysis; its results are complete")
 
 
-def _analyse(recordings: list[Path], model: str | None, options: dict[str, Any], quiet: bool) -> "PropertiesStudy":
-    """Analyse the cycles; the messages of reading errors name the options of this command."""
+def _analyse(
+    recordings: list[Path], model: str | None, options: dict[str, Any], quiet: bool
+) -> tuple["PropertiesStudy", bool]:
+    """Analyse the cycles, and return whether Ctrl-C was pressed at the end; messages name this command's options."""
     with start_run(quiet) as progress:
         from smajax.api.properties import thermal_cycle_properties
         from smajax.app.commands.properties_hints import with_cure_of_this_command
 
         try:
-            return thermal_cycle_properties(recordings, model=model, progress=progress, **options)
+            study = thermal_cycle_properties(recordings, model=model, progress=progress, **options)
+            return study, progress.interrupted
         except InputError as error:
             raise with_cure_of_this_command(error, error.fields.get("path"), options) from None
 

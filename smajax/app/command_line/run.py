@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from smajax.app.loading import exit_on_interrupt
+from smajax.errors import Cancelled
 
 if TYPE_CHECKING:
     from smajax.api.study import Study
@@ -39,17 +40,28 @@ def argv() -> list[str]:
 
 
 def finish_run(
-    study: "Study", out: Path, *, quiet: bool, as_json: bool = False, open_report: bool = False, after: str = ""
+    study: "Study",
+    out: Path,
+    progress: "CommandProgress",
+    *,
+    quiet: bool,
+    as_json: bool = False,
+    open_report: bool = False,
+    after: str = "",
 ) -> None:
     """Print the summary of a saved study, open its report, and exit with its code.
 
     Args:
         study: The study.
         out: Its result folder.
+        progress: The progress of the command.
         quiet: Whether no summary is printed.
         as_json: Whether the result document is printed instead.
         open_report: Whether the report is opened in a browser.
         after: Lines that follow the summary.
+
+    Raises:
+        Cancelled: If Ctrl-C was pressed when there was a result already.
     """
     if as_json:
         typer.echo((out / study.document_name).read_text("utf-8"), nl=False)
@@ -63,5 +75,7 @@ def finish_run(
         from smajax.app.console import open_in_browser
 
         open_in_browser(out.resolve() / "report.html")
+    if progress.interrupted and study.exit_code != Cancelled.exit_code:
+        raise Cancelled(f"interrupted when there were results already; they are complete, in {out.resolve()}")
     if not study.success:
         raise typer.Exit(study.exit_code)

@@ -74,7 +74,7 @@ class ThermalObserver(AbstractTemperatureEstimator):
 
     Attributes:
         a1: Heating a_1 per energy, a scalar, K/J.
-        a2: Heat loss a_2 < 0, a scalar, K^(1 - n)/s.
+        a2: Heat loss a_2 <= 0, a scalar, K^(1 - n)/s.
         exponent: Exponent n of the heat loss, a scalar.
         ambient: Temperature of the surroundings, a scalar, degC.
         gain: Gain L of the correction by a thermocouple, a scalar, 1/s.
@@ -89,6 +89,11 @@ class ThermalObserver(AbstractTemperatureEstimator):
     period: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
+        if is_concrete(self.a2) and not np.all(np.asarray(self.a2) <= 0.0):
+            value = float(np.max(np.asarray(self.a2)))
+            raise InputError(
+                f"ThermalObserver: a2 = {value:g} would heat the wire without power: give a heat loss below 0"
+            )
         linear = is_concrete(self.exponent) and np.all(np.asarray(self.exponent) == 1.0)
         # The loss of a linear observer has one rate; that of others depends on the temperature (``check_stability``).
         self._check_rates(-self.a2 if linear else jnp.zeros(()))

@@ -64,6 +64,7 @@ def augmented_lagrangian(search: GainSearch, points: Float[np.ndarray, "starts g
         search.problem.single_member(),
         search.objective_without_limits,
         lambda count, cost: search.progress(previous_rollouts + count, cost),
+        reached=search.reached,
     )
     point = unconstrained(without_limits, points)
     search.rollouts += without_limits.rollouts

@@ -68,6 +68,7 @@ def minimise_settling_time(search: GainSearch, start: Float[np.ndarray, " gains"
         return linearise(response, point)
 
     def report(point: np.ndarray, latest: float, violation: float) -> None:
+        search.reached.append(point)
         search.progress(search.rollouts, latest)
         if violation <= VIOLATION_TOLERANCE:
             search.history.append((search.rollouts, latest))
@@ -110,6 +111,7 @@ def meet_settling_limit(
         without_settling,
         lambda count, cost: search.progress(previous_rollouts + count, cost),
         settle=True,
+        reached=search.reached,
     )
     fastest_point = minimise_settling_time(settling_search, minimise_without_limits(settling_search, points))
     search.rollouts += settling_search.rollouts

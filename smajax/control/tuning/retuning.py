@@ -69,7 +69,8 @@ def search_gains(
         problem: The tuning problem.
         reachable: Range of the channel that the rig reaches.
         seed: Seed of the random starts.
-        progress: Receives the phases and steps of the search.
+        progress: Receives the phases and steps of the search; a ``KeyboardInterrupt`` of it ends the search with the
+            best gains so far.
 
     Returns:
         The best gains; their number of rollouts is that of all searches.
@@ -81,20 +82,34 @@ def search_gains(
     result = _search(task, problem, task.starts, seed, progress)
     evaluation = evaluate_gains(task, result.gains)
     failure = ""
+    if result.interrupted:
+        return SearchOutcome(result, evaluation, task.weights)
     if not result.feasible:
         failure = "keep all limits yet"
     elif fails_to_track(task, evaluation, reachable):
         failure = "follow the reference yet"
     if failure and task.starts < _MORE_STARTS:
-        progress.phase(f"no gains {failure}: searching from more starts")
+        if _is_stopped(progress, f"no gains {failure}: searching from more starts"):
+            return SearchOutcome(result._replace(interrupted=True), evaluation, task.weights)
         other = _search(task, problem, _MORE_STARTS, seed, progress)
         better = min(result, other, key=lambda candidate: _rank(task, candidate))
-        result = better._replace(rollouts=result.rollouts + other.rollouts)
+        result = better._replace(rollouts=result.rollouts + other.rollouts, interrupted=other.interrupted)
         evaluation = evaluate_gains(task, result.gains)
     outcome = SearchOutcome(result, evaluation, task.weights)
+    if result.interrupted:
+        return outcome
     if evaluation.unstable or evaluation.margins.unstable:
         return _increase_effort_weight(task, problem, outcome, reachable, seed, progress)
     return outcome
+
+
+def _is_stopped(progress: PhasesAndSteps, phase: str) -> bool:
+    """Report a phase, and return whether that was answered by a request to stop."""
+    try:
+        progress.phase(phase, can_stop=True)
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
 def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, progress: PhasesAndSteps) -> TuningResult:
@@ -131,11 +146,13 @@ def _increase_effort_weight(
     Gains that do not follow the reference, or violate limits more than those before, are not used; the previous outcome
     is returned if there are no others.
     """
-    rollouts, weights = before.result.rollouts, task.weights
+    rollouts, weights, interrupted = before.result.rollouts, task.weights, False
     # Weights have no influence on the shortest settling time.
     for _ in range(0 if task.settle else _EFFORT_INCREASES):
         weights = {**weights, "effort": _EFFORT_FACTOR * max(weights.get("effort", 0.0), _MIN_EFFORT_WEIGHT)}
-        progress.phase(f"the gains are unstable in a rollout or when linearised: effort weight {weights['effort']:g}")
+        phase = f"the gains are unstable in a rollout or when linearised: effort weight {weights['effort']:g}"
+        if interrupted := _is_stopped(progress, phase):
+            break
         starts = max(_MORE_STARTS, task.starts)
         result = _search(replace(task, weights=weights), problem, starts, seed, progress)
         rollouts += result.rollouts
@@ -147,7 +164,9 @@ def _increase_effort_weight(
             and violation_rank(result)[:2] <= violation_rank(before.result)[:2]
         ):
             return SearchOutcome(result._replace(rollouts=rollouts), evaluation, weights)
-    return before._replace(result=before.result._replace(rollouts=rollouts))
+        if interrupted := result.interrupted:
+            break
+    return before._replace(result=before.result._replace(rollouts=rollouts, interrupted=interrupted))
 
 
 def retune_on_failing_draws(
@@ -171,7 +190,7 @@ def retune_on_failing_draws(
         checks: Checks of the ``start`` gains and of the ``tuned`` ones.
         draws: Samples of parameters by name, internal units, shape ``(count,)`` each.
         seed: Seed of the random starts.
-        progress: Receives the phases of the search.
+        progress: Receives the phases and steps of the search; a ``KeyboardInterrupt`` of it ends the search.
 
     Returns:
         The gains with the fewest failing draws, and their checks.
@@ -184,7 +203,10 @@ def retune_on_failing_draws(
     for repeat in range(_RETUNINGS):
         if not best_checks.failing:
             break
-        progress.phase(f"tuning again for {len(best_checks.failing)} draws that are unstable or beyond a limit")
+        if _is_stopped(
+            progress, f"tuning again for {len(best_checks.failing)} draws that are unstable or beyond a limit"
+        ):
+            return result._replace(interrupted=True), best_checks
         failing = list(dict.fromkeys([*best_checks.failing[: max(1, count // 2)], *failing]))
         rows = list(dict.fromkeys([*failing, *range(count)]))[:count]
         selected = {n: v[np.resize(rows, count)] for n, v in draws.items()}
@@ -192,14 +214,15 @@ def retune_on_failing_draws(
         new_problem = TuningProblem.of(task.system, loop, task.scenario, task.bounds, selected, problem.draws)
         if repeat:
             limits = _tighten(limits, task.limits, best_checks.document["worst"])
-        retuned = tune(
-            new_problem, task.weights, limits, settle=task.settle, starts=_MORE_STARTS, seed=seed, band=task.band
-        )
-        result = result._replace(rollouts=result.rollouts + retuned.rollouts)
+        retuned = _search(replace(task, limits=limits), new_problem, _MORE_STARTS, seed, progress)
+        interrupted = retuned.interrupted
+        result = result._replace(rollouts=result.rollouts + retuned.rollouts, interrupted=interrupted)
         new_checks = check_draws(task, retuned.gains, draws)
         follows = task.settle or _median_error(new_checks) <= _median_error(checks["start"])
         if follows and len(new_checks.failing) < len(best_checks.failing):
             result, best_checks = retuned._replace(rollouts=result.rollouts), new_checks
+        if interrupted:
+            break
     return result, best_checks
 
 

@@ -138,6 +138,7 @@ class GainSearch:
         rollouts: Number of rollouts so far.
         history: A row (rollouts, cost) for each improvement.
         evaluated: Candidates that all members evaluated.
+        reached: Points to which the local searches improved so far, also those of the searches that this one starts.
         scale: Terms at the start, by which they are divided, shape ``(4,)``.
         has_no_limits: Whether there are no limits and the settling time is not minimised.
         zero_multipliers: Multipliers that are 0, shape ``(m, 5, n)``.
@@ -150,6 +151,7 @@ class GainSearch:
         objective: Objective,
         progress: Callable[[int, float], None],
         settle: bool = False,
+        reached: list[np.ndarray] | None = None,
     ) -> None:
         """Evaluate the start.
 
@@ -158,7 +160,10 @@ class GainSearch:
             objective: Weights and limits.
             progress: Called with the number of rollouts so far and a cost.
             settle: Whether the settling time is minimised instead of the terms.
+            reached: List for the points that are reached, that of the search that starts this one; a new one if not
+                given.
         """
+        self.reached: list[np.ndarray] = [] if reached is None else reached
         self.problem: TuningProblem = problem
         self.objective: Objective = objective
         self.progress: Callable[[int, float], None] = progress
@@ -242,6 +247,8 @@ class GainSearch:
         )
         free = np.asarray(self.problem.upper > self.problem.lower)
 
+        lowest = [math.inf]
+
         def log_cost_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:
             """Evaluate the logarithm of the cost and its gradient; infinite where they are not finite."""
             value, derivative = _cost_and_gradient(jnp.asarray(point), arguments)
@@ -251,6 +258,9 @@ class GainSearch:
                 return math.inf, np.zeros_like(point)
             if problem.count == self.problem.count:
                 self.record(Candidate(0.0, cost, point))
+            if cost < lowest[0]:
+                lowest[0] = cost
+                self.reached.append(point)
             self.progress(self.rollouts, cost)
             return math.log(cost), gradient / cost
 
@@ -295,6 +305,7 @@ class GainSearch:
                 return _OVERFLOW, np.zeros_like(x)
             if cost < best.cost:
                 best = Candidate(0.0, cost, x / scale)
+                self.reached.append(best.point)
                 self.progress(self.rollouts, cost)
             largest = scale * float(np.max(np.abs(gradient)))
             meaningless += largest > _MEANINGLESS_GRADIENT
@@ -347,6 +358,7 @@ class GainSearch:
             candidate = cache[packed] = self.candidates(point[None], problem)[0]
             if rank(candidate) < rank(best):
                 best = candidate
+                self.reached.append(point)
                 if candidate.violation == 0.0 and not self.has_no_limits and problem.count == self.problem.count:
                     self.history.append((self.rollouts, candidate.cost))
             self.progress(self.rollouts, best.cost)

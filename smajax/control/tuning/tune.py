@@ -28,6 +28,9 @@ from smajax.errors import InputError
 
 # Smallest number of random points that are evaluated to choose several starts; chosen by trial.
 _MIN_SCREENED = 16
+# Number of points that are evaluated to find the best one of a search that was stopped: the last improvements of the
+# local search that was running, and the ends of those before.
+_LATEST_REACHED = 8
 
 
 class TuningResult(NamedTuple):
@@ -43,6 +46,7 @@ class TuningResult(NamedTuple):
         rollouts: Number of rollouts.
         history: A row (rollouts; settling time in s, or sum of the weighted terms) for each improvement that keeps all
             limits.
+        interrupted: Whether the search was stopped; the gains are then the best ones so far.
     """
 
     point: np.ndarray
@@ -53,6 +57,7 @@ class TuningResult(NamedTuple):
     settling: float
     rollouts: int
     history: tuple[tuple[int, float], ...]
+    interrupted: bool = False
 
 
 def violation_rank(result: TuningResult) -> tuple[bool, float, float]:
@@ -100,10 +105,12 @@ def tune(
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
-        progress: Called with the number of rollouts so far and the cost of the last evaluated point.
+        progress: Called with the number of rollouts so far and the cost of the last evaluated point; it may raise
+            ``KeyboardInterrupt`` to stop the search.
 
     Returns:
-        The best gains of all searches.
+        The best gains of all searches, or of what was searched until ``KeyboardInterrupt``; never worse than the
+        loop's own.
 
     Raises:
         InputError: if there are neither weights nor ``settle``, or the reference has no jump to settle after.
@@ -118,15 +125,11 @@ def tune(
             "the reference never jumps and holds, so there is no settling time to minimise: choose tracking instead"
         )
     search = GainSearch(problem, make_objective(weights or START_WEIGHTS, limits, band), progress, settle)
-    points = _starts(search, starts, seed)
-    if settle:
-        point = minimise_settling_time(search, minimise_without_limits(search, points))
-    elif search.has_no_limits:
-        point = unconstrained(search, points)
-    else:
-        point = augmented_lagrangian(search, points)
-        if limits.get("settling", math.inf) < math.inf:
-            point = meet_settling_limit(search, point, points)
+    interrupted = False
+    try:
+        point = _search(search, _starts(search, starts, seed), settle, limits.get("settling", math.inf) < math.inf)
+    except KeyboardInterrupt:
+        point, interrupted = _best_so_far(search, settle, band), True
     terms, violations = search.evaluate(point[None])
     return TuningResult(
         point=point,
@@ -137,7 +140,35 @@ def tune(
         settling=longest_settling(problem, point, band),
         rollouts=search.rollouts,
         history=tuple(search.history),
+        interrupted=interrupted,
     )
+
+
+def _search(
+    search: GainSearch, points: Float[np.ndarray, "starts gains"], settle: bool, limits_settling: bool
+) -> Float[np.ndarray, " gains"]:
+    """The best point of the searches that objective and limits ask for, shape ``(p,)``."""
+    if settle:
+        return minimise_settling_time(search, minimise_without_limits(search, points))
+    if search.has_no_limits:
+        return unconstrained(search, points)
+    point = augmented_lagrangian(search, points)
+    return meet_settling_limit(search, point, points) if limits_settling else point
+
+
+def _best_so_far(search: GainSearch, settle: bool, band: float) -> Float[np.ndarray, " gains"]:
+    """The best point of a search that was stopped: one that all members evaluated, or one reached last.
+
+    Points that were reached are evaluated with all members first, since a local search may use some of them only, or a
+    cost that is not the objective.
+    """
+    start = search.evaluated[0]
+    best = min(search.evaluated, key=rank)
+    latest = list({point.tobytes(): point for point in search.reached[-_LATEST_REACHED:]}.values())
+    candidates = [start, best, *(search.candidates(point[None])[0] for point in latest)]
+    if not settle:
+        return min(candidates, key=rank).point
+    return min(candidates, key=lambda c: (c.violation, longest_settling(search.problem, c.point, band))).point
 
 
 def _starts(search: GainSearch, starts: int, seed: int) -> Float[np.ndarray, "starts gains"]:

@@ -83,6 +83,7 @@ class ControllerTuning:
         rmse_of_mean: RMS error with the tuned gains under the mean of the pulses, internal unit; ``None`` without a
             carrier.
         timings: Wall time of each part, s.
+        interrupted: Whether the tuning was stopped; the gains are then the best ones so far.
     """
 
     rig: Rig
@@ -99,6 +100,7 @@ class ControllerTuning:
     identified: IdentifiedFeedforward | None = None
     rmse_of_mean: float | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
+    interrupted: bool = False
 
     @property
     def gains(self) -> dict[str, float]:
@@ -118,10 +120,10 @@ class _Timer:
         self.progress, self.timings = progress, {}
 
     @contextmanager
-    def part(self, name: str, phase: str = "") -> Iterator[None]:
+    def part(self, name: str, phase: str = "", *, can_stop: bool = False) -> Iterator[None]:
         """Show a phase, and add the wall time of the context to a part."""
         if phase:
-            self.progress.phase(phase)
+            self.progress.phase(phase, can_stop=can_stop)
         begin = time.perf_counter()
         try:
             yield
@@ -141,7 +143,8 @@ def tune_controller(
         rig: The rig.
         settings: The content of a controller file for this rig.
         seed: Seed of all random numbers; by default that of the file.
-        progress: Receives the phases and steps; nothing is shown by default.
+        progress: Receives the phases and steps; nothing is shown by default. A ``KeyboardInterrupt`` of it while the
+            gains are searched ends the tuning with the best gains so far.
 
     Returns:
         The gains with their metrics, margins and checks, and those of the start.
@@ -151,25 +154,23 @@ def tune_controller(
             identified, or there is no objective.
         NumericsError: if no gains have a finite cost.
     """
-    progress = Reporter() if progress is None else progress
-    timer, seed = _Timer(progress), settings.seed if seed is None else seed
-    with timer.part("read"):
-        draws = draw_parameters(rig, settings, seed)
+    progress, seed = progress or Reporter(), settings.seed if seed is None else seed
+    timer, draws = _Timer(progress), draw_parameters(rig, settings, seed)
     settings, identified = _with_feedforward(settings, timer)
     file_weights = settings.weights
     with timer.part("start", "evaluating the start gains"):
         _check_channel(rig, settings)
         settings, reachable, unreachable = _within_reach(settings)
         start = evaluate_gains(settings, _start_gains(settings))
-    with timer.part("tune", "tuning"):
+    with timer.part("tune", "tuning", can_stop=True):
         problem = _problem(settings, draws, seed)
         result, tuned, weights = search_gains(settings, problem, reachable, seed, progress)
         settings = replace(settings, weights=weights)
     other_weights = weights is not file_weights
-    with timer.part("check", "checking"):
-        gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
-        checks = {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
-    if checks:
+    progress.finish("checking")
+    with timer.part("check"):
+        checks = _checks(settings, result, draws)
+    if checks and not result.interrupted:
         with timer.part("tune"):
             result, checks, is_start = _checked_gains(settings, problem, result, checks, draws, seed, progress)
         other_weights, tuned = other_weights and not is_start, evaluate_gains(settings, result.gains)
@@ -188,6 +189,7 @@ def tune_controller(
         identified=identified,
         rmse_of_mean=_rmse_of_mean(settings, tuned),
         timings=timer.timings,
+        interrupted=result.interrupted,
     )
 
 
@@ -284,6 +286,12 @@ def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: in
     # Gains that are limited, or tuned for several plants, are evaluated as they are.
     spread = 0.0 if settings.limits or settings.settle or robust else GAIN_SPREAD
     return TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, members, noise, spread)
+
+
+def _checks(settings: ControllerFile, result: TuningResult, draws: Mapping[str, np.ndarray]) -> dict[str, DrawChecks]:
+    """The checks of the start gains and of the tuned ones on draws; empty without draws."""
+    gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
+    return {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
 
 
 def _checked_gains(

@@ -1,4 +1,4 @@
-"""Reader of Parquet files, whose columns are named like the headers of a CSV file; needs pyarrow, the extra ``io``."""
+"""Reader of Parquet files, whose columns are named like the headers of a CSV file."""
 
 import datetime
 import re
@@ -18,23 +18,6 @@ from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn,
 _INDEX = re.compile(r"__index_level_\d+__")
 
 
-def pyarrow_parquet(path: Path, instead: str = ", or use CSV") -> Any:
-    """Return pyarrow's Parquet module.
-
-    Args:
-        path: The file, for the message.
-        instead: Alternative for the user, as the end of the sentence.
-
-    Raises:
-        InputError: If pyarrow is not installed.
-    """
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(f'{path}: Parquet files need pyarrow: run pip install "smajax[io]"{instead}') from None
-    return pyarrow.parquet
-
-
 @final
 class ParquetTable(Table):
     """Columns of a Parquet file; the first record is row 1.
@@ -49,9 +32,10 @@ class ParquetTable(Table):
     def __init__(self, path: Path, options: ReadOptions):
         self.path = path
         self._decimal = options.decimal
-        parquet = pyarrow_parquet(path)
+        import pyarrow.parquet
+
         try:
-            self._file = parquet.ParquetFile(path)
+            self._file = pyarrow.parquet.ParquetFile(path)
         except Exception as error:  # pyarrow raises many types of errors for damaged files
             raise InputError(
                 f"{path}: the file is not readable as Parquet ({first_line(error)}): write it again, or use CSV"

@@ -35,7 +35,9 @@ class ErrorEntry(Part):
     select_after: Number = Field(description="on the selection recording, with the accepted effects")
     holdout_before: Number = Field(description="on the holdout, without further effects")
     holdout_after: Number = Field(description="on the holdout, with the accepted effects")
-    holdout_cut_95: Ends = Field(description="95 % interval of the reduction on the holdout")
+    holdout_cut_95: Ends = Field(
+        description="95 % interval of the reduction on the holdout, on the rows that holdout.interval_of names"
+    )
 
 
 class LeftOutEntry(Part):
@@ -194,9 +196,16 @@ class HoldoutEntry(Part):
     """Part of the holdout in the choice of the effects."""
 
     decided: bool = Field(
-        description="whether the holdout had a part in the choice, so that holdout_cut_95 is after selection"
+        description="whether the holdout had a part in the choice, so that the errors on it are after selection"
     )
     removed: list[str] = Field(description="keys of the effects that it removed")
+    decided_by: Literal["first half"] | None = Field(
+        None,
+        description="rows of the holdout that had a part in the choice; null if none had, absent in earlier documents",
+    )
+    interval_of: Literal["second half", "all rows"] | None = Field(
+        None, description="rows of the holdout that rmse.holdout_cut_95 is of; absent in earlier documents"
+    )
 
 
 class EffectParameterEntry(Part):

@@ -102,7 +102,7 @@ class ProfileEntry(Part):
 class SolverEntry(Part):
     """How the search ended, and its effort."""
 
-    code: Literal["converged", "stalled", "steps", "interrupted", "failed", "diverged"] = Field(
+    code: Literal["converged", "stalled", "steps", "interrupted", "failed", "diverged", "not_stationary"] = Field(
         description="how it ended"
     )
     text: str = Field(description="the same as a sentence")

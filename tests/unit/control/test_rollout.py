@@ -43,6 +43,14 @@ def loop_of(dt=PERIOD, **options) -> ClosedLoop:
     return ClosedLoop(pid(400.0, 50.0, 0.0, low=0.0, high=1.0, dt=dt), channel="displacement", **options)
 
 
+@pytest.mark.parametrize("a2", [0.1, np.nan])
+def test_an_observer_that_heats_the_wire_without_power_is_refused(a2):
+    with pytest.raises(
+        InputError, match=r"^ThermalObserver: a2 = (0.1|nan) would heat the wire without power: give a heat"
+    ):
+        ThermalObserver(*map(jnp.asarray, (12.0, a2, 1.0, 20.0, 0.2)), period=0.05)
+
+
 def test_a_plant_and_a_reference_are_enough(plant, sampled):
     """The defaults are an exact sensor, no limiter, no allocation, and rest at the channel's own value."""
     result = rollout(plant, loop_of(), REFERENCE)

@@ -28,7 +28,8 @@ from smajax.control.loop.rollout import Scenario
 from smajax.control.sampled_plant import SampledPlant
 from smajax.control.tuning import retuning
 from smajax.control.tuning.feedforward_identification import Feedforward, identify_feedforward
-from smajax.control.tuning.objective import make_objective
+from smajax.control.tuning.minimise_settling_time import longest_settling
+from smajax.control.tuning.objective import TERMS, make_objective
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
 from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
@@ -91,6 +92,42 @@ def test_the_hip_settles_sooner_than_by_a_population():
 def test_a_settling_limit_that_cannot_be_kept_gives_the_shortest_settling_time():
     result = tune(hip_problem(), {"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02})
     assert not result.feasible and result.settling < 21.5 and result.violations["overshoot"] <= 1e-3
+
+
+@pytest.mark.parametrize(
+    ("weights", "limits", "settle", "stop"),
+    [
+        ({"itae": 1.0}, {}, False, 6),
+        ({"itae": 1.0}, {"overshoot": 0.01}, False, 1),  # in the search without limits, whose points exceed them
+        ({"itae": 1.0}, {"overshoot": 0.01}, False, 30),
+        ({"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02}, False, 40),
+        ({}, {"overshoot": 0.02}, True, 12),
+    ],
+)
+def test_a_tuning_that_is_stopped_keeps_the_best_gains(weights, limits, settle, stop):
+    calls = []
+
+    def progress(rollouts, cost):
+        calls.append(cost)
+        if len(calls) == stop:
+            raise KeyboardInterrupt
+
+    problem = hip_problem(dt=0.1)
+    result = tune(problem, weights, limits, settle=settle, progress=progress)
+    assert result.interrupted and len(calls) == stop
+    objective = make_objective(weights or {"itae": 1.0}, limits)
+    terms, violated = evaluate_points(
+        problem, jnp.stack([jnp.asarray(problem.start), jnp.asarray(result.point)]), objective
+    )
+    before, after = np.sum(np.maximum(violated, 0.0) * (np.asarray(violated) > 1e-3), axis=1)
+    assert after <= before
+    if stop == 6:
+        assert result.terms["itae"] == pytest.approx(
+            float(terms[1, TERMS.index("itae")] / terms[0, TERMS.index("itae")])
+        )
+        assert result.terms["itae"] < 0.9
+    if settle:
+        assert result.settling < longest_settling(problem, problem.start, 0.02)
 
 
 def test_a_limit_is_kept_at_a_higher_cost():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 
 from smajax import parameters
 from smajax.diagnosis import effect_parameters, slotted_programs
+from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.compiled_model import SLOTS
@@ -18,7 +20,7 @@ from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.forward_selection import _free_held_parameters
 from smajax.diagnosis.outcome import diagnose
 from smajax.diagnosis.problem import DiagnosisProblem
-from smajax.diagnosis.result import effect_intervals
+from smajax.diagnosis.result import _cuts, effect_intervals
 from smajax.files.rig_file import read_rig
 from smajax.parameters import parameter
 from smajax.plant.effects import catalogue
@@ -149,12 +151,30 @@ def test_effect_of_a_user_is_named(rig, recordings):
     assert "amplitude of the draught" in document["summary"] and document["holdout"] == {
         "decided": False,
         "removed": [],
+        "decided_by": None,
+        "interval_of": "all rows",
     }
     assert document["effect_parameters"][0]["lower95"] == estimate.interval[0] and not document["interrupted"]
     page = page_of(document, simulated, diagnosis)
     assert "effects.periodic-draught.strength" in page and "before any choice by the holdout" in page
     words_of_the_holdout(document, lambda changed: page_of(changed, simulated, diagnosis))
     words_of_further_parameters(document)
+    halves_of_the_holdout(diagnosis, simulated)
+
+
+def halves_of_the_holdout(diagnosis, recordings) -> None:
+    """Where the first half of the holdout decided, the interval of the fall is of the second one."""
+    decided = dataclasses.replace(diagnosis, holdout_decided=True)
+    options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}
+    entry = diagnosis_document(decided, recordings, **options)["holdout"]
+    assert entry == {"decided": True, "removed": [], "decided_by": "first half", "interval_of": "second half"}
+    rows = np.arange(400)
+    noise = np.random.default_rng(0).standard_normal(400)
+    before, after = {"displacement": 2.0 * noise}, {"displacement": np.where(rows < 200, 0.5, 1.5) * noise}
+    predictions = {"before": [{}, {}, before], "after": [{}, {}, after]}
+    evaluator = SimpleNamespace(seed=0)
+    whole, half = (_cuts(evaluator, predictions, decides)["displacement"] for decides in (False, True))
+    assert half == bootstrap_cut(2.0 * noise[200:], 1.5 * noise[200:], 0) and half[1] < whole[0]
 
 
 def words_of_further_parameters(document) -> None:
@@ -176,7 +196,13 @@ def words_of_the_holdout(document, page) -> None:
     text = " ".join(sentences(stays))
     assert "decided that the effects stay" in text and "after selection" in text and "was stopped" in text
     assert "More than noise remains." in text or "another effect." in text
-    assert "after selection: the holdout decided that the effects stay" in page(stays)
+    assert "after selection: the holdout decided that the effects stay" in page(stays)  # of an earlier version
+    halves = {"decided_by": "first half", "interval_of": "second half"}
+    split = stays | {"holdout": stays["holdout"] | halves}
+    text = " ".join(sentences(split))
+    assert "The first half of the holdout decided that the effects stay" in text
+    assert "the interval of their fall is of the second half, which had no part in the choice: check" in text
+    assert "on the second half of the holdout, which had no part in the choice, falls by" in page(split)
     removed = stays | {"effects": [], "holdout": {"decided": True, "removed": ["creep"]}, "verdict": "unresolved"}
     assert "rejected creep, which did not reduce its error" in " ".join(sentences(removed))
     earlier = {k: v for k, v in document.items() if k not in ("holdout", "effect_parameters", "interrupted")}

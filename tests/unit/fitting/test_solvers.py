@@ -128,7 +128,7 @@ def test_a_solver_that_ends_above_the_best_cost_has_not_converged(monkeypatch, l
 
     monkeypatch.setattr(optimistix_search, "_step", step)
     inf = np.full(2, np.inf)
-    search = OptimistixSearch(SOLVERS[0], rosenbrock, 10.0, np.zeros((1, 2)), -inf, inf, size=2)
+    search = OptimistixSearch(SOLVERS[0], lambda y, args: y - 0.5, 10.0, np.zeros((1, 2)), -inf, inf, size=2)
     result = search.advance(9).result()
     assert result.statuses == [SolverStatus[status]] and result.steps == 2
     assert search.simulations == 2 * (2 + 2) and result.points.tolist() == [[0.5, 0.5]] and result.costs == [1.0]
@@ -236,6 +236,28 @@ def test_a_study_whose_solver_diverged_is_no_success():
     study = sma.fit(rig, train, starts=1, solver=optx.GaussNewton(1e-8, 1e-8))
     assert study.document["solver"]["code"] == "diverged" and study.exit_code == 3
     assert "far above its best point" in study.reason and study.reason == study.document["solver"]["text"]
+
+
+def test_a_solver_that_ends_away_from_the_minimum_has_not_converged():
+    """Its own test of the end is met at once by such tolerances, with a slope of the cost left."""
+    inf = np.full(2, np.inf)
+    starts = np.array([[-1.2, 1.0]])
+    loose = OptimistixSearch(optx.BFGS(rtol=10.0, atol=10.0), rosenbrock, 10.0, starts, -inf, inf, size=2)
+    result = loose.advance(200).result()
+    assert result.costs[0] > 1.0 and result.steps < 200
+    assert result.statuses == [SolverStatus.not_stationary]
+
+
+def test_a_study_whose_solver_ended_early_is_no_success():
+    """It was a success, with an RMSE of several times that at the minimum."""
+    rig = sma.read_rig(data_path("recordings", "dead-weight", "rig.toml"))
+    train = rig.read(data_path("recordings", "dead-weight", "train.csv")).slice(0.0, 30.0)
+    study = sma.fit(rig, train, starts=1, solver=optx.BFGS(1.0, 1.0))
+    assert study.document["solver"]["code"] == "not_stationary" and study.exit_code == 3
+    assert "which is no minimum" in study.reason and study.reason == study.document["solver"]["text"]
+    study = sma.fit(rig, train, starts=1, max_steps=2, solver=optx.LevenbergMarquardt(1e-8, 1e-8))
+    assert study.document["solver"]["code"] == "steps" and not study.success
+    assert study.reason == SolverStatus.steps.text
 
 
 def test_something_else_as_solver_is_refused():

@@ -132,6 +132,64 @@ def test_what_an_own_mechanism_returns_is_one_sentence(method, function, problem
     assert str(raised.value) == f"OwnLoad: {problem}"
 
 
+ARGUMENTS = {
+    "law, one too few": (OwnLaw, "remaining_share", lambda self: 1.0, "remaining_share(self)", "(self, progress)"),
+    "law, one too many": (
+        OwnLaw,
+        "modulus",
+        lambda self, fractions, temperature: 5e10,
+        "modulus(self, fractions, temperature)",
+        "(self, fractions)",
+    ),
+    "law, keyword only": (OwnLaw, "resistivity", lambda self, *, fractions: 1e-6, "fractions)", "(self, fractions)"),
+    "load": (OwnLoad, "force", lambda self, x, stiffness: x, "force(self, x, stiffness)", "(self, displacement)"),
+    "static": (OwnLoad, "force", staticmethod(lambda: 2.0), "force()", "(self, displacement)"),
+}
+
+
+@pytest.mark.parametrize("case", ARGUMENTS)
+def test_a_method_with_other_arguments_is_one_sentence(case):
+    base, method, function, taken, expected = ARGUMENTS[case]
+    part = own(base, method, function)
+    with pytest.raises(InputError) as raised:
+        plant(**{"material" if base is OwnLaw else "mechanism": part})
+    sentence = str(raised.value)
+    assert sentence.startswith(f"{base.__name__}: {method}(") and taken in sentence
+    assert f"takes other arguments than it is given: write def {method}{expected}, as in Abstract" in sentence
+
+
+def test_something_else_in_place_of_a_method_is_one_sentence():
+    with pytest.raises(InputError, match=r"^OwnLoad: force is a float and no method: write def force\(self, "):
+        plant(mechanism=own(OwnLoad, "force", 2.0))
+
+
+@pytest.mark.parametrize(
+    "function", [lambda self, *arguments: 2.0 + 250.0 * arguments[0], lambda self, x, offset=2.0: offset + 250.0 * x]
+)
+def test_a_method_may_take_more_where_it_need_not(function):
+    assert simulate(plant(mechanism=own(OwnLoad, "force", function)), PULSE).status == 0
+
+
+def test_what_a_method_raises_keeps_its_type_and_is_noted():
+    def helper(x):
+        return x
+
+    with pytest.raises(TypeError, match="helper") as raised:
+        plant(mechanism=own(OwnLoad, "force", lambda self, x: helper(x, 2.0)))
+    assert "raised by force of OwnLoad, which is traced once where a plant is made" in raised.value.__notes__
+    assert any(entry.name == "<lambda>" for entry in raised.traceback)
+
+
+def test_nothing_is_computed_for_the_check_of_smajax_s_own_classes(monkeypatch):
+    made = plant()
+
+    def fail(self):
+        raise AssertionError
+
+    monkeypatch.setattr(Plant, "_mechanism_context", fail)
+    dataclasses.replace(made, wire=Wire(diameter=0.2e-3, length=0.23))
+
+
 @pytest.mark.parametrize(("method", "number"), [("modulus", 5e10), ("resistivity", 9e-7)])
 def test_an_own_law_may_return_one_number(method, number):
     whole = own(OwnLaw, method, lambda self, fractions: jnp.full_like(fractions.martensite, number))

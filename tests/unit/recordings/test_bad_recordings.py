@@ -4,6 +4,7 @@ import os
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -664,8 +665,8 @@ def damaged_matlab(path):
 
 def parquet(time, current):
     def write(path):
-        table = pytest.importorskip("pyarrow").table({"time [s]": time, "current [A]": current})
-        pytest.importorskip("pyarrow.parquet").write_table(table, path)
+        table = pyarrow.table({"time [s]": time, "current [A]": current})
+        pyarrow.parquet.write_table(table, path)
 
     return write
 

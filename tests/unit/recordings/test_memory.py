@@ -621,12 +621,6 @@ def test_a_table_of_pandas_and_back_is_the_same(values, step, has_clock):
     assert read_recording(again.to_pandas(), mapping=mapping, clock=has_clock).sha256 == again.sha256
 
 
-def test_pandas_is_asked_for_where_it_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match=r'^recording: DataFrames need pandas: run pip install "smajax\[io\]"$'):
-        read_recording(columns()).to_pandas()
-
-
 def test_a_rig_is_read_from_a_dictionary(monkeypatch):
     import tomllib
 

@@ -251,8 +251,6 @@ def test_a_fit_document_is_frozen(tmp_path):
 
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_a_page_is_rebuilt_from_the_folder(tmp_path, command):
-    if command == "sweep":
-        pytest.importorskip("pyarrow")
     inputs = {"inputs": ["current"]} if command in ("diagnose", "compare") else {}
     folder = write_run(tmp_path, command, EXAMPLES[command], **inputs)
     if command == "sweep":

@@ -793,13 +793,6 @@ def test_a_run_killed_before_its_first_file_is_resumed(folder):
         run(folder, resume=True)
 
 
-def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(InputError, match=r'need pyarrow: run pip install "smajax\[io\]"$'):
-        run(folder)
-    assert not (folder / "out.partial").exists()
-
-
 def test_a_table_without_the_header_of_a_sweep(tmp_path):
     path = tmp_path / "table.parquet"
     for header in (None, {}, {"sweep": "", "rig": ""}):
