@@ -59,15 +59,16 @@ def error_budget(
         after: The fit with structure and effects.
     """
     problem, keys = evaluator.problem, list(state.accepted)
-    fits = {frozenset(keys): after}
+    earlier = {frozenset(fit.keys): fit.refit for fit in (*state.accepted_fits, state.base_fit)}
+    joint = {frozenset(keys): after}
 
     def fit(effect_set: EffectSet) -> Refit:
         names = frozenset(effect_set.keys)
-        if names not in fits:
+        if names not in joint:
             stride = evaluator.stride(state.base_fit.train_chi2)
-            start = evaluator.fit(effect_set, after.base, stride) if names else state.base_fit.refit
-            fits[names] = refit_jointly(problem, start)
-        return fits[names]
+            start = earlier.get(names) or evaluator.fit(effect_set, after.base, stride)
+            joint[names] = refit_jointly(problem, start)
+        return joint[names]
 
     models: list[tuple[str, Callable[[], Series]]] = [(BASE, lambda: _series(rig, before))]
     if structure.effects:

@@ -9,7 +9,7 @@ held near 0 where there are no cells.
 import copy
 import dataclasses
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -147,18 +147,18 @@ def with_structure(plant: Plant, cells: int = CELLS, grains: int = GRAINS) -> Pl
 
 
 def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> DiagnosisProblem:
-    """Build the problem of the same rig with cells, with grains whose spreads and widths are free, and few candidates.
+    """Build the problem of the same rig with cells, and with grains whose spreads and widths are free.
 
     Args:
         problem: The problem without structure.
-        state: The state at the end of its forward selection, whose best effects are the candidates.
+        state: The state at the end of its forward selection. Its facts are the candidates next to the structure;
+            without facts, all effects are.
     """
     plant = parameters.replace(with_structure(problem.base_problem.plant), {ANGLE: _START_ANGLE})
     free = (*problem.settings.free, *SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()))
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    structured = DiagnosisProblem(
-        plant, problem.splits, settings, **problem.grid_options, candidates=candidate_keys(state)
-    )
+    keys = candidate_keys(state) if state.accepted else _without_approximations(problem.effects)
+    structured = DiagnosisProblem(plant, problem.splits, settings, **problem.grid_options, candidates=keys)
     structured.set_noise(problem.noise)
     lower, upper = (side.copy() for side in structured.bounds)
     for i, unknown in enumerate(structured.problems[TRAIN].unknowns):
@@ -235,12 +235,26 @@ def fit_with_structure(evaluator: CandidateEvaluator, effect_set: EffectSet, wit
         np.append(base, _structure_values(problem, spread, uneven))
         for spread, uneven in zip(_START_SPREADS, _START_UNEVEN, strict=True)
     ]
-    stride = evaluator.stride(without.train_chi2)
+    return fit_from(evaluator, effect_set, (problem.nominal, *near), without.train_chi2)
+
+
+def fit_from(
+    evaluator: CandidateEvaluator, effect_set: EffectSet, starts: Sequence[np.ndarray], reduced_chi2: float
+) -> CandidateFit:
+    """Fit a set of effects with a few steps from each of several starts, and with more from the best point.
+
+    Args:
+        evaluator: The evaluator.
+        effect_set: The effects, with start values of their parameters.
+        starts: Base vectors, each of shape ``(p,)``.
+        reduced_chi2: Reduced chi-squared of the training split that is expected.
+
+    Returns:
+        The best fit to the training split.
+    """
+    problem, stride = evaluator.problem, evaluator.stride(reduced_chi2)
     free = tuple(problem.free_effect_parameters(effect_set))
-    searches = [
-        problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride)
-        for start in (problem.nominal, *near)
-    ]
+    searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
     best = min(map_in_pairs(lambda s: s.advance(_START_STEPS), searches), key=lambda s: s.cost)
     return evaluator.evaluate(problem.refit_from(evaluator.continue_if_needed(best.advance(_STEPS))))
 

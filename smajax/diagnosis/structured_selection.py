@@ -7,6 +7,8 @@ stay; where there are none, the best effects of the first round are candidates n
 
 from collections.abc import Callable
 
+import numpy as np
+
 from smajax.diagnosis.acceptance import rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
@@ -18,17 +20,22 @@ from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
     UNIFORM,
     Structure,
+    candidate_keys,
     clearly_better,
     compare_variants,
+    fit_from,
     fit_with_structure,
     may_have_structure,
     refit,
     structured_problem,
 )
-from smajax.diagnosis.successive_halving import successive_halving
+from smajax.diagnosis.successive_halving import SHORT_SCHEDULE, successive_halving
 from smajax.diagnosis.support import judge_effects
 from smajax.progress import CallbackStop
 
+# Number of effects, those of the largest scores at the fit with the structure alone, that are added to it. Chosen by
+# trial.
+_BEST_SCORES = 4
 # Number of fits with one effect that get a second one next to the structure, and of effects that each of them gets.
 # Chosen by trial.
 _PARENTS = 3
@@ -79,8 +86,9 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     base = fit_with_structure(structured, EffectSet(), state.current)
     fits = [base, *([fit_with_structure(structured, facts, state.current)] if facts.keys else [])]
     if not state.accepted:
-        report_progress(f"fitting {len(problem.effects)} effects next to cells and grains")
-        fits += successive_halving(structured, *_candidates(structured, base, state))
+        near, far = _candidates(structured, base, state)
+        report_progress(f"fitting {len(near)} effects next to cells and grains")
+        fits += successive_halving(structured, near, far, SHORT_SCHEDULE)
     evaluator.problem.count_simulations(problem.simulations)
     if not any(_replaces(evaluator, state, structured, f) for f in fits):
         return evaluator, state, UNIFORM
@@ -91,7 +99,8 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     beam = _add_effects(structured, inner, [f for f in fits if f.keys])
     if len(inner.accepted) == 1 and not facts.keys:
         report_progress("fitting a second effect next to cells and grains")
-        _add_effects(structured, inner, successive_halving(structured, _second_candidates(structured, beam)))
+        pairs = _second_candidates(structured, beam)
+        _add_effects(structured, inner, successive_halving(structured, pairs, schedule=SHORT_SCHEDULE))
     judge_effects(structured, inner)
     if not _replaces(evaluator, state, structured, inner.current):
         return evaluator, state, UNIFORM
@@ -138,7 +147,9 @@ def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: lis
     best = min(fits, key=lambda fit: fit.total_chi2, default=None)
     if best is None:
         return []
-    best = refit(evaluator, best, best.refit.effect_set)
+    # The search may have stayed near a fit that lacks the effect: the rig's own values are a second start.
+    starts = (np.clip(best.refit.base, *problem.bounds), problem.nominal)
+    best = fit_from(evaluator, best.refit.effect_set, starts, best.train_chi2)
     if reason := rejection(current, best, problem.samples) or refusal(problem, current, best):
         state.rejected.append(reason)
         return []
@@ -162,8 +173,11 @@ def _second_candidates(evaluator: CandidateEvaluator, beam: list[CandidateFit]) 
 def _candidates(
     evaluator: CandidateEvaluator, fit: CandidateFit, state: SelectionState
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """The effects of the problem from the point of a fit, and from the rig's own values."""
+    """Effects from the point of a fit, and from the rig's own values: those of the largest scores, and the best ones
+    of the first round without structure."""
     scores, nominal = evaluator.scores(fit.refit), state.nominal_scores
-    near = [Candidate(fit.refit, key, s.strength, scores.shapes[key], s.gain) for key, s in scores.best.items()]
-    far = [Candidate(fit.refit, key, nominal[key].strength, nominal[key].shape) for key in scores.best]
+    largest = sorted((key for key in scores.best if scores.best[key].gain > 0.0), key=lambda k: -scores.best[k].gain)
+    keys = [k for k in dict.fromkeys((*largest[:_BEST_SCORES], *candidate_keys(state))) if k in scores.best]
+    near = [Candidate(fit.refit, k, (s := scores.best[k]).strength, scores.shapes[k], s.gain) for k in keys]
+    far = [Candidate(fit.refit, k, nominal[k].strength, nominal[k].shape) for k in keys]
     return near, far

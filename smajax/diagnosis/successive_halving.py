@@ -22,6 +22,12 @@ HALVING_SCHEDULE = (
     (5, 8),
     (3, 30),
 )
+# The same where each step is expensive.
+SHORT_SCHEDULE = (
+    (99, 4),
+    (4, 4),
+    (3, 25),
+)
 # Number of steps of a round above which near and far starts compete with each other: by then both have reduced the
 # errors of their start. It is that of the first round.
 _SEPARATE_STEPS = 5
@@ -42,7 +48,10 @@ _MAX_FAR_STRENGTH = 2.0
 
 
 def successive_halving(
-    evaluator: CandidateEvaluator, near: Sequence[Candidate], far: Sequence[Candidate] = ()
+    evaluator: CandidateEvaluator,
+    near: Sequence[Candidate],
+    far: Sequence[Candidate] = (),
+    schedule: Sequence[tuple[int, int]] = HALVING_SCHEDULE,
 ) -> list[CandidateFit]:
     """Fit candidates with one more effect each: a few steps for all, then more for the best of them.
 
@@ -51,6 +60,7 @@ def successive_halving(
         near: Candidates that start at the point of their parent with a small strength.
         far: Candidates that start at the rig's nominal values and are bounded near them. A large effect may have biased
             the parameters of the parent so much that a search from there does not find it.
+        schedule: Number of searches that continue in each round, and of their steps.
 
     Returns:
         The fits of the best sets of effects that improve by the new effect.
@@ -61,7 +71,7 @@ def successive_halving(
     parents = (problem.reduced_chi2(c.parent.residual, TRAIN) for c in (*near, *far))
     stride = evaluator.stride(min(parents, default=0.0))
     starts = _Starts(evaluator, near, far, stride)
-    groups, searches = _halve(evaluator, starts, stride)
+    groups, searches = _halve(evaluator, starts, stride, schedule)
     searches += map_in_pairs(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
     by_search = map_in_pairs(lambda search: scan_onset_times(evaluator, search), groups[0])
     searches += [search for scanned in by_search for search in scanned]
@@ -139,7 +149,7 @@ class _Starts:
 
 
 def _halve(
-    evaluator: CandidateEvaluator, starts: _Starts, stride: int
+    evaluator: CandidateEvaluator, starts: _Starts, stride: int, schedule: Sequence[tuple[int, int]]
 ) -> tuple[list[list[RefitSearch]], list[RefitSearch]]:
     """The searches of the last round in one group, and all searches.
 
@@ -148,7 +158,7 @@ def _halve(
     problem = evaluator.problem
     groups = [starts.near, starts.far]
     searches = [s for group in groups for s in group]
-    for count, steps in HALVING_SCHEDULE:
+    for count, steps in schedule:
         least = min((s.cost for s in searches), default=math.inf)
         groups = [
             sorted((s for s in g if not s.cost > _HOPELESS * least), key=lambda s: s.cost)[:count] for g in groups
