@@ -279,12 +279,12 @@ def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -
 
 
 def compare_variants(
-    plain: CandidateEvaluator, state: SelectionState, evaluator: CandidateEvaluator, current: CandidateFit
+    rig: CandidateEvaluator, state: SelectionState, evaluator: CandidateEvaluator, current: CandidateFit
 ) -> tuple[Structure, CandidateEvaluator, CandidateFit]:
     """Fit every variant with the same effects and choose the simplest one that predicts as well as the best.
 
     Args:
-        plain: The evaluator of the problem without structure.
+        rig: The evaluator of the problem without structure.
         state: The state at the end of its forward selection.
         evaluator: The evaluator of the problem with structure.
         current: Its fit.
@@ -295,7 +295,7 @@ def compare_variants(
     problem = evaluator.problem
     has_cells = problem.base_problem.plant.cells is not None
     variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
-    fits = {variants[0]: (plain, _fit_without(plain, state, current)), variants[-1]: (evaluator, current)}
+    fits = {variants[0]: (rig, _fit_without(rig, state, current)), variants[-1]: (evaluator, current)}
     for variant in variants[1:-1]:
         fits[variant] = _fit_held(evaluator, current, held_values(variant, has_cells))
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
@@ -317,12 +317,12 @@ def _fit_held(
     return held, refit(held, fit, fit.refit.effect_set)
 
 
-def _fit_without(plain: CandidateEvaluator, state: SelectionState, fit: CandidateFit) -> CandidateFit:
+def _fit_without(rig: CandidateEvaluator, state: SelectionState, fit: CandidateFit) -> CandidateFit:
     """The fit of the same effects without structure."""
     for earlier in (state.base_fit, state.current):
         if set(earlier.keys) == set(fit.keys):
             return earlier
-    return refit(plain, state.current, fit.refit.effect_set)
+    return refit(rig, state.current, fit.refit.effect_set)
 
 
 def clearly_better(
