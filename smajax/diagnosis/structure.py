@@ -68,7 +68,7 @@ ASK_FROM = 2.25
 # Start values of both spreads. Chosen by trial.
 _START_SPREADS = (0.7, 0.35)
 # Number of effects of the first round, those with the least errors on the selection split, and those with the largest
-# scores, that are candidates next to the structure. More of them make each derivative more expensive. Chosen by trial.
+# scores, that are fitted next to the structure. Chosen by trial.
 _BEST_REFITS = 4
 _BEST_SCORES = 2
 # Number of steps of each search from a start, and of the best one after that, with the relative fall of the cost at

@@ -2,7 +2,8 @@
 
 Where the effects that were selected on a wire of one cell and one grain leave more than noise, the wire may lack cells
 and grains. They are fitted together with those of these effects that are facts. Where that improves the fit, the facts
-stay; where there are none, the best effects of the first round are candidates next to the structure.
+stay. Where there are none, every effect is scored next to the structure; those of the largest scores and the best ones
+of the first round are fitted, and then pairs of effects.
 """
 
 from collections.abc import Callable
