@@ -3,6 +3,7 @@
 import sys
 
 from smajax.app.loading import exit_on_interrupt
+from smajax.errors import Cancelled
 
 
 def main() -> None:
@@ -13,7 +14,7 @@ def main() -> None:
     try:
         app()
     except KeyboardInterrupt:  # outside of a command, which has a sentence for it
-        sys.exit(130)
+        sys.exit(Cancelled.exit_code)
 
 
 if __name__ == "__main__":

@@ -132,10 +132,10 @@ def fit(
     document, responses = _evaluate(inputs, search)
     wrong = [r for r in responses if r.status is not SimulationStatus.done]
     failed = [f"{r.recording.name}: {r.status.name}: {r.status.hint}" for r in wrong]
-    astray = _without_minimum(search.result, solver)
-    failure = NumericsError.exit_code if failed or astray or search.result is None else 0
+    no_minimum = _why_no_minimum(search.result, solver)
+    failure = NumericsError.exit_code if failed or no_minimum or search.result is None else 0
     code = Cancelled.exit_code if search.interrupted else failure
-    reason = search.reason or "; ".join(failed) or astray or "interrupted with the best point so far"
+    reason = search.reason or "; ".join(failed) or no_minimum or "interrupted with the best point so far"
     ending = {"code": document["solver"]["code"], "text": document["solver"]["text"]}
     return FitStudy(
         document=document,
@@ -147,7 +147,7 @@ def fit(
     )
 
 
-def _without_minimum(result: FitResult | None, solver: Any) -> str:
+def _why_no_minimum(result: FitResult | None, solver: Any) -> str:
     """Why a result is no minimum, in words; empty if it is one, or the default solver needs more steps."""
     codes = {SolverStatus.diverged, SolverStatus.not_stationary, *((SolverStatus.steps,) if solver else ())}
     return result.status.text if result is not None and result.status in codes else ""

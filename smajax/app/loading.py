@@ -8,7 +8,7 @@ import signal
 import threading
 from types import FrameType
 
-_EXIT_CODE = 130  # smajax.errors.Cancelled.exit_code
+from smajax.errors import Cancelled
 
 
 def exit_on_interrupt() -> None:
@@ -27,4 +27,4 @@ def raise_on_interrupt() -> None:
 def _exit(number: int, frame: FrameType | None) -> None:
     line_end = b"\n" if os.isatty(2) else b""
     os.write(2, line_end + b"smajax: interrupted; nothing was written\n")
-    os._exit(_EXIT_CODE)
+    os._exit(Cancelled.exit_code)

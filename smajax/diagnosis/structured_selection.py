@@ -36,7 +36,7 @@ from smajax.progress import CallbackStop
 
 # Number of effects, those of the largest scores at the fit with the structure alone, that are added to it. Chosen by
 # trial.
-_BEST_SCORES = 4
+_BEST_NEXT_TO_STRUCTURE = 4
 # Number of fits with one effect that get a second one next to the structure, and of effects that each of them gets.
 # Chosen by trial.
 _PARENTS = 3
@@ -174,11 +174,10 @@ def _second_candidates(evaluator: CandidateEvaluator, beam: list[CandidateFit]) 
 def _candidates(
     evaluator: CandidateEvaluator, fit: CandidateFit, state: SelectionState
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """Effects from the point of a fit, and from the rig's own values: those of the largest scores, and the best ones
-    of the first round without structure."""
+    """Effects of the largest scores and the best of the first round, from the point of a fit and the rig's values."""
     scores, nominal = evaluator.scores(fit.refit), state.nominal_scores
     largest = sorted((key for key in scores.best if scores.best[key].gain > 0.0), key=lambda k: -scores.best[k].gain)
-    keys = [k for k in dict.fromkeys((*largest[:_BEST_SCORES], *candidate_keys(state))) if k in scores.best]
+    keys = [k for k in dict.fromkeys((*largest[:_BEST_NEXT_TO_STRUCTURE], *candidate_keys(state))) if k in scores.best]
     near = [Candidate(fit.refit, k, (s := scores.best[k]).strength, scores.shapes[k], s.gain) for k in keys]
     far = [Candidate(fit.refit, k, nominal[k].strength, nominal[k].shape) for k in keys]
     return near, far

@@ -19,8 +19,8 @@ import jax
 # of jax 0.11 no longer has this one.
 EMITTER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 EMITTER_FLAGS = tuple(f"--{name}={str(value).lower()}" for name, value in EMITTER_OPTIONS.items())
-# Loops of single simulations operate on short vectors, which AVX-512 slows down: a fit of two wires takes 8 % more
-# time with it, and a sweep no more. XLA takes this option from the process only, so sweeps, whose digits it changes,
+# Loops of single simulations operate on short vectors, which AVX-512 slows down; the wide batches of sweeps it does
+# not. XLA takes this option from the process only, so sweeps, whose digits it changes,
 # are without it. test_a_command_and_the_library_give_the_same_document of tests/integration holds that digits stay.
 ISA_FLAGS = ("--xla_cpu_max_isa=AVX2",) if platform.machine().lower() in ("x86_64", "amd64") else ()
 

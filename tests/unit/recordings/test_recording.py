@@ -399,7 +399,7 @@ def test_excel_sheets(tmp_path):
 def test_a_missing_extra_is_named(written, monkeypatch):
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(InputError, match=r'need openpyxl: run pip install "smajax\[io\]"'):
-        read_recording(written(b"whatever", "wire.xlsx"))
+        read_recording(written(b"not a workbook", "wire.xlsx"))
 
 
 def test_too_large_a_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
