@@ -305,8 +305,9 @@ def compare_variants(
         return Structure(chosen, 1, 1 if chosen == "neither" else GRAINS, errors), *fits[chosen]
     # Uneven convection stays only where it predicts clearly better: elsewhere it absorbs other differences.
     even = _fit_held(*fits[chosen], {UNEVEN: 0.0})
-    uneven_is_better = clearly_better(*even, *fits[chosen])
-    return Structure(chosen, CELLS, GRAINS, errors), *(fits[chosen] if uneven_is_better else even)
+    found = fits[chosen] if clearly_better(*even, *fits[chosen]) else even
+    errors[chosen] = math.sqrt(found[1].select_chi2)
+    return Structure(chosen, CELLS, GRAINS, errors), *found
 
 
 def _fit_held(

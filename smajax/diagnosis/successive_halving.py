@@ -22,7 +22,7 @@ HALVING_SCHEDULE = (
     (5, 8),
     (3, 30),
 )
-# The same where each step is expensive.
+# The same where each step is expensive. Chosen by trial.
 SHORT_SCHEDULE = (
     (99, 4),
     (4, 4),

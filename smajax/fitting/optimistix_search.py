@@ -28,8 +28,8 @@ _DIVERGED_SHARE = 0.01
 
 # A search has ended at a minimum if the linear model there predicts a decrease of the cost by at most this share of it,
 # which is a change of the RMSE by half of it; or, for residuals of 0, a step of at most this length in scaled units, in
-# which parameters are of order one. Chosen by trial on fits of the shipped dead weight, between the shares at the minimum and
-# those where BFGS ends elsewhere; tests/unit/fitting/test_solvers.py has both.
+# which parameters are of order one. Chosen by trial on fits of the shipped dead weight, between the shares at the
+# minimum and those where BFGS ends elsewhere; tests/unit/fitting/test_solvers.py has both.
 _STATIONARY_SHARE = 1e-4
 _STATIONARY_STEP = 1e-6
 
