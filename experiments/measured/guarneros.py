@@ -10,7 +10,7 @@ heat, and medians of the readings.
 
 The model is fitted to FIT, without effects and with ``EFFECTS`` together. Further effects are added one by one, as
 long as one lowers the error on the first half of SELECT_AND_HOLDOUT by more than 5 %. The second half is forecast at
-several horizons, and as a whole from its start, with the recorded input. The latest errors of the model correct its
+several horizons with the recorded input. The latest errors of the model correct its
 forecasts; how, is chosen on the second half of FIT and the first half of SELECT_AND_HOLDOUT. Several logs may be
 named to be forecast; the first of them selects.
 
@@ -88,8 +88,8 @@ noise = {{ temperature = "1 K", force = "0.03 N" }}
 """
 
 ROWS = 53  # of the log in a block: 1.007 s
-HORIZONS = (1, 5, 10, 20)  # s
-LONG_HORIZONS = (30, 60)  # s, at which a mean that nobody knows beforehand is hard to beat
+HORIZONS = (1, 5, 10, 20)  # s; what moves the readings further ahead is not in the recorded input
+FEWEST_BLOCKS = 240  # of a log, some four minutes: both halves then hold several of the longest horizons
 CHANNELS = {"temperature": "K", "force": "N"}
 DRIFTING = ("force",)  # the zero of the load cell differs from log to log, so that a correction of it does not decay
 STEP = 2.0  # s; longer than a block, so that each block is one step
@@ -144,8 +144,8 @@ def read_log(path: Path) -> tuple[Recording, list[Row]]:
     for note in recording.notes:
         say(note)
     blocks = block_rows(recording, ROWS, ("duty",))
-    if len(blocks) < 4 * LONG_HORIZONS[-1]:
-        refuse(f"{path}: {len(recording)} rows are too few: {4 * LONG_HORIZONS[-1] * ROWS} are needed")
+    if len(blocks) < FEWEST_BLOCKS:
+        refuse(f"{path}: {len(recording)} rows are too few: {FEWEST_BLOCKS * ROWS} are needed")
     return blocks, packet_rows(recording, halves(recording)[1])
 
 
@@ -254,7 +254,7 @@ def choose_corrections(
     parts = [(fit_log, halves(fit_log)[1]), (select_log, halves(select_log)[0])]
     modelled = [fitter.predict(log, fitted) for log, _ in parts]
     corrections = {}
-    for channel, horizon in itertools.product(CHANNELS, (*HORIZONS, *LONG_HORIZONS)):
+    for channel, horizon in itertools.product(CHANNELS, HORIZONS):
         series = [(log.channels[channel], m[channel], rows) for (log, rows), m in zip(parts, modelled, strict=True)]
         corrections[channel, horizon] = choose_correction(series, round(horizon / period), period, channel in DRIFTING)
     return corrections
@@ -267,7 +267,7 @@ def forecast_rows(
     fit_log: Recording,
     corrections: dict[tuple[str, int], Correction],
 ) -> list[Row]:
-    """Return the errors on the second half of a log at each horizon, and of its forecast from the start of the half."""
+    """Return the errors of the forecasts of the second half of a log at each horizon."""
     period = float(log.time[1] - log.time[0])
     modelled, held = fitter.predict(log, fitted), halves(log)[1]
     rows = []
@@ -275,21 +275,12 @@ def forecast_rows(
         values = log.channels[channel]
         earlier = (fit_log.time, fit_log.channels["duty"], fit_log.channels[channel])
         repeated = last_cycle(log.time, log.channels["duty"], values, earlier)
-        for horizon in (*HORIZONS, *LONG_HORIZONS):
+        for horizon in HORIZONS:
             ahead = round(horizon / period)
             naive = {n: s[held] for n, s in naive_forecasts(values, repeated, ahead).items()}
             forecast = corrections[channel, horizon].forecast(values, modelled[channel], ahead, period)[held]
             what = f"{log.name}, held out: {channel}, {horizon} s ahead"
             rows.append(compare(what, values[held], forecast, naive, unit))
-        origin = held.start - 1
-        horizons = log.time[held] - log.time[origin]
-        errors_so_far = (values - modelled[channel])[: held.start]
-        correction = corrections[channel, LONG_HORIZONS[-1]]
-        latest = np.array([correction.at(errors_so_far, float(h), period)[-1] for h in horizons])
-        constants = {n: np.full(len(latest), s[held.start]) for n, s in naive_forecasts(values, repeated, 1).items()}
-        constants["last cycle"] = repeated[held]
-        what = f"{log.name}, held out: {channel}, all {horizons[-1]:.0f} s at once"
-        rows.append(compare(what, values[held], modelled[channel][held] + latest, constants, unit))
     return rows
 
 

@@ -1,5 +1,6 @@
 """Experiments with raw logs of micro-controllers: blocks of rows, forecasts at horizons, and quick runs where ../shared is."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -136,8 +137,8 @@ def rows_of(name: str, tmp_path: Path, *words: str) -> dict[str, dict]:
 def test_a_raw_log_of_a_force_sensor_is_fitted_and_another_is_forecast(shared, tmp_path):
     folder = shared / "data" / "guarneros-sma-force"
     rows = rows_of("measured/guarneros", tmp_path, str(folder / "AB0.csv"), str(folder / "AB1.csv"))
-    for channel in ("temperature", "force"):
-        assert rows[f"AB1.csv, held out: {channel}, 5 s ahead"]["met"], channel
+    for channel, horizon in itertools.product(("temperature", "force"), (1, 5, 10, 20)):
+        assert rows[f"AB1.csv, held out: {channel}, {horizon} s ahead"]["met"], (channel, horizon)
     simulated = rows["AB1.csv, held out: simulation without readings"]["numbers"]
     assert simulated["temperature"] < simulated["before"]["temperature"]
 
