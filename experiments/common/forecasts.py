@@ -11,7 +11,7 @@ from experiments.common.base import Row
 import numpy as np
 from scipy.signal import lfilter
 
-WEIGHTS = (1.0, 0.85, 0.7, 0.5, 0.3, 0.15)  # weights of the latest error in the mean of the errors that corrects the model
+WEIGHTS = (1.0, 0.85, 0.7, 0.5, 0.3, 0.15)  # of the latest error in the mean of the errors that corrects the model
 OFFSETS = (0.0, 30.0, 100.0, 300.0)  # s over which an offset is averaged; 0 for none
 MEMORIES = (3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 1000.0, np.inf)  # s in which a correction decays to the offset
 PULSE = 0.02  # smallest duty of a heating, as a mean over ``PULSE_SECONDS``; single corrupt packets are below it
