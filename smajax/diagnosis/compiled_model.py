@@ -195,6 +195,8 @@ def start_solver(
     upper: Float[np.ndarray, " p"],
     rtol: float = _RTOL,
     primal_fn: Callable[[jax.Array, SlottedModel], Simulated] = simulate,
+    *,
+    secant_updates: bool = False,
 ) -> MultiStartSolver:
     """Set up a search for the vector, without a step.
 
@@ -205,13 +207,15 @@ def start_solver(
         upper: Upper bounds, shape ``(p,)``.
         rtol: Relative fall of the cost at which the search ends.
         primal_fn: The program that simulates before each step.
+        secant_updates: Update the Jacobian from residuals where that is enough.
     """
-    return MultiStartSolver(
-        residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol, primal_fn=primal_fn
-    )
+    options = {"rtol": rtol, "primal_fn": primal_fn, "secant_updates": secant_updates}
+    return MultiStartSolver(residual, model, start[None], lower, upper, size=model.problem.size, **options)
 
 
-def start_compilation(model: SlottedModel, vector: Float[np.ndarray, " p"]) -> list[threading.Thread]:
+def start_compilation(
+    model: SlottedModel, vector: Float[np.ndarray, " p"], *, secant_updates: bool = False
+) -> list[threading.Thread]:
     """Compile both programs in the background.
 
     Tracing holds Python's global lock and compiling does not. The program that takes longer to compile is therefore
@@ -220,13 +224,15 @@ def start_compilation(model: SlottedModel, vector: Float[np.ndarray, " p"]) -> l
     Args:
         model: The data of the compiled programs, of the shapes that all later calls have.
         vector: A vector of the right shape, ``(p,)``.
+        secant_updates: That of the searches.
 
     Returns:
         The threads; the programs are compiled when they have ended.
     """
     point, unbounded = jnp.asarray(vector), np.full(len(vector), np.inf)
     blank = Simulated(model.blank_trajectories(point), jnp.zeros(model.problem.size))
-    derivatives = start_solver(model, vector, -unbounded, unbounded, primal_fn=lambda *_: blank)
+    options = {"primal_fn": lambda *_: blank, "secant_updates": secant_updates}
+    derivatives = start_solver(model, vector, -unbounded, unbounded, **options)
     derivatives.trace_program()
     threads = [
         threading.Thread(target=task, daemon=True)

@@ -12,13 +12,13 @@ from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.onset_times import with_better_onsets
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.structure import ASK_FROM
 
 # Largest number of evaluations of a search, which starts near its optimum, at a fit of the training split. Chosen by
 # trial.
 _MAX_EVALUATIONS = 12
-# Reduced chi-squared above which the exact optimum does not matter, and the relative falls of the cost at which a
-# search ends below and above it. Chosen by trial; a diagnosis that explains nothing would spend most of its time here.
-_FAR_FROM_FIT = 100.0
+# Relative falls of the cost at which a search ends near the noise and where more is left, so that the exact optimum does
+# not matter. Chosen by trial; a diagnosis that explains nothing would spend most of its time here.
 _FTOL = 1e-6
 _FTOL_FAR = 1e-3
 # Share of the largest norm of a Jacobian column below which a parameter is held: such a column is rounding.
@@ -111,7 +111,7 @@ def _minimise(problem: DiagnosisProblem, refit: Refit) -> Refit:
             lambda x: function.evaluate(pack(x))[1][:, free],  # pyright: ignore[reportArgumentType]
             (lower[free], upper[free]),
             x_scale="jac",
-            ftol=_FTOL if problem.reduced_chi2(refit.residual, TRAIN) < _FAR_FROM_FIT else _FTOL_FAR,
+            ftol=_FTOL if problem.reduced_chi2(refit.residual, TRAIN) < ASK_FROM else _FTOL_FAR,
             max_nfev=_MAX_EVALUATIONS,
         )
     packed = pack(result.x)

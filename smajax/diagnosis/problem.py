@@ -14,7 +14,7 @@ import numpy as np
 
 from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm, Refit, RefitSearch
-from smajax.diagnosis.compiled_model import SLOTS, simulate, slot_count, start_solver
+from smajax.diagnosis.compiled_model import SLOTS, simulate, slot_count
 from smajax.diagnosis.data_split import TRAIN, DataSplit, changing_surroundings, check_complete
 from smajax.diagnosis.effect_parameters import EffectParameters, effect_kinds, possible_effects
 from smajax.diagnosis.nonparametric import zero_terms
@@ -250,7 +250,7 @@ class DiagnosisProblem(GriddedSplits):
         if hold_shapes:
             shapes = slice(self.size + len(effect_set.keys), self.size + len(free))
             lower[shapes] = upper[shapes] = start[shapes]
-        solver = start_solver(model, start, lower, upper, rtol)
+        solver = self._programs.start_solver(model, start, lower, upper, rtol=rtol)
         return RefitSearch(solver, effect_set, free, term, stride, near_nominal, rtol, self.count_simulations)
 
     def continue_on_all_samples(self, search: RefitSearch, steps: int = _STEPS_ON_ALL_SAMPLES) -> RefitSearch:
@@ -271,7 +271,7 @@ class DiagnosisProblem(GriddedSplits):
         effect_set, base, result = self._end_of(search)
         columns = self.size + len(search.free)
         nodes = result.points[0][columns:][: search.term.matrix.shape[1] if search.term else 0]
-        if search.stride == 1:
+        if search.stride == 1 and result.updates[0] == 0:
             residual, jacobian = result.residuals[0], result.jacobians[0]
         else:
             residual, jacobian = self.evaluate(effect_set, base, TRAIN, search.free, search.term, nodes)
@@ -334,7 +334,7 @@ class DiagnosisProblem(GriddedSplits):
         start = self._programs.vector(effect_set, base, free, term, nodes)
         unbounded = np.full(len(start), math.inf)
         model = self._programs.model(problem, effect_set, free, term)
-        result = start_solver(model, start, -unbounded, unbounded).advance(1).result()
+        result = self._programs.start_solver(model, start, -unbounded, unbounded).advance(1).result()
         self.count_simulations(result.simulations)
         failed = result.statuses[0] is SolverStatus.failed
         return np.where(failed, math.nan, result.residuals[0]), result.jacobians[0][:, :columns]
@@ -395,6 +395,6 @@ class DiagnosisProblem(GriddedSplits):
         )
         problem = with_weights(self.problems[split], self.splits[split].anchor_rows(), self.noise)
         model = self._programs.model(problem, effect_set)
-        result = start_solver(model, start, lower, upper).advance(_ANCHOR_STEPS).result()
+        result = self._programs.start_solver(model, start, lower, upper).advance(_ANCHOR_STEPS).result()
         self.count_simulations(result.simulations)
         return result.points[0][: self.size]

@@ -15,9 +15,11 @@ from smajax.diagnosis.compiled_model import (
     slot_count,
     slotted_model,
     start_compilation,
+    start_solver,
     statuses,
 )
 from smajax.diagnosis.effect_parameters import EffectParameters
+from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
 
 
@@ -42,7 +44,19 @@ class SlottedPrograms:
             base: A base vector, shape ``(p,)``.
         """
         empty = EffectSet()
-        return start_compilation(self.model(problem, empty), self.vector(empty, base, ()))
+        model, vector = self.model(problem, empty), self.vector(empty, base, ())
+        return start_compilation(model, vector, secant_updates=_uses_secants(problem))
+
+    def start_solver(
+        self,
+        model: SlottedModel,
+        start: Float[np.ndarray, " p"],
+        lower: Float[np.ndarray, " p"],
+        upper: Float[np.ndarray, " p"],
+        **options: float,
+    ) -> MultiStartSolver:
+        """Set up a search on the compiled programs, without a step (``compiled_model.start_solver``)."""
+        return start_solver(model, start, lower, upper, secant_updates=_uses_secants(model.problem), **options)
 
     def model(
         self,
@@ -65,7 +79,8 @@ class SlottedPrograms:
         slots = model.slot_matrix.shape[1]
         with self._compiling:  # searches run two at a time
             if slots not in self._compiled:
-                for thread in start_compilation(model, self.vector(effect_set, problem.nominal, free, term)):
+                vector = self.vector(effect_set, problem.nominal, free, term)
+                for thread in start_compilation(model, vector, secant_updates=_uses_secants(problem)):
                     thread.join()
                 self._compiled.add(slots)
         return model
@@ -108,3 +123,8 @@ class SlottedPrograms:
         vector, model = jnp.asarray(self.vector(effect_set, base, ())), self.model(problem, effect_set)
         simulated = simulate(vector, model)
         return np.asarray(simulated.residual), np.asarray(statuses(vector, model, simulated.trajectories))
+
+
+def _uses_secants(problem: Problem) -> bool:
+    """Whether searches update Jacobians from residuals: those of cells and grains cost as much as many simulations."""
+    return problem.plant.cells is not None or problem.plant.grains is not None

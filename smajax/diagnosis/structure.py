@@ -296,8 +296,9 @@ def compare_variants(
     has_cells = problem.base_problem.plant.cells is not None
     variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
     fits = {variants[0]: (rig, _fit_without(rig, state, current)), variants[-1]: (evaluator, current)}
-    for variant in variants[1:-1]:
-        fits[variant] = _fit_held(evaluator, current, held_values(variant, has_cells))
+    between = variants[1:-1]
+    held = map_in_pairs(lambda v: _fit_held(evaluator, current, held_values(v, has_cells)), between)
+    fits |= zip(between, held, strict=True)
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
     best = min(errors, key=lambda v: errors[v])
     chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))

@@ -12,7 +12,10 @@ parameter whose two bounds are equal is fixed, so that profiles and nested model
 The solver runs under ``optimistix.least_squares``; ``smajax.fitting.multi_start`` drives it step by step from several
 starts.
 
-Source: marquardt1963 (scaled damping), nielsen1999 (reduction of the damping by the gain ratio).
+With ``secant_updates`` the Jacobian is updated from the residuals of accepted trials while it predicts well (Broyden's
+rank-one update), and computed again where it does not, after several updates, and before a search ends.
+
+Source: marquardt1963 (scaled damping), nielsen1999 (reduction of the damping by the gain ratio), broyden1965 (updates).
 """
 
 import enum
@@ -47,6 +50,10 @@ _TINY = 1e-300
 _SMALL_DECREASES = 2
 # A predicted decrease below this share of the relative tolerance ends it at once.
 _PREDICTED_SHARE = 1e-2
+# Largest number of updates of a Jacobian before it is computed again, and least share of the predicted decrease that an
+# accepted trial reaches for an update. Chosen by trial on fits of cells and grains.
+_MOST_UPDATES = 4
+_LEAST_GAIN = 0.3
 
 
 class SolverStatus(enum.IntEnum):
@@ -90,6 +97,8 @@ class LMState(NamedTuple):
         predicted: Decrease of the cost that the linear model predicts for the trial.
         small_decreases: Number of small decreases in a row.
         rejections: Number of rejected trials in a row.
+        updates: Number of updates since the Jacobian was computed.
+        refresh: Whether the trial point is the best point again, to compute the Jacobian there.
         steps: Number of steps so far.
         status: Value of ``SolverStatus``.
         aux: Auxiliary output of the function at the best point.
@@ -103,6 +112,8 @@ class LMState(NamedTuple):
     predicted: jax.Array
     small_decreases: jax.Array
     rejections: jax.Array
+    updates: jax.Array
+    refresh: jax.Array
     steps: jax.Array
     status: jax.Array
     aux: Any
@@ -124,6 +135,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
         atol: Not used; part of the optimistix interface.
         lazy_jacobian: Evaluate the Jacobian after the residual, and only at trials that are accepted. This is faster
             where the Jacobian costs several residuals, but not in a batch.
+        secant_updates: Update the Jacobian instead of computing it at each accepted trial; needs ``lazy_jacobian``.
         norm: Not used; part of the optimistix interface.
     """
 
@@ -132,6 +144,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
     upper: Any = jnp.inf
     atol: float = 0.0
     lazy_jacobian: bool = eqx.field(static=True, default=False)
+    secant_updates: bool = eqx.field(static=True, default=False)
     norm: Callable[..., Any] = eqx.field(static=True, default=optx.max_norm)
 
     def init(
@@ -151,6 +164,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
             predicted=jnp.zeros((), real),
             small_decreases=jnp.zeros((), whole),
             rejections=jnp.zeros((), whole),
+            updates=jnp.zeros((), whole),
+            refresh=jnp.zeros((), bool),
             steps=jnp.zeros((), whole),
             status=jnp.asarray(SolverStatus.running.value, whole),
             aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
@@ -173,36 +188,43 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
             The best point, the state, and the auxiliary output there.
         """
         (lower, upper), (point, unravel) = self._bounds(y), ravel_pytree(y)
-        residual, jacobian, cost, aux = self._evaluate(lambda v: fn(unravel(v), args), state)
+        residual, jacobian, cost, aux, updates = self._evaluate(lambda v: fn(unravel(v), args), point, state)
         finite = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
-        accept = finite & (cost < state.cost)
+        accept = finite & ((cost < state.cost) | state.refresh)
         first = state.steps == 0
         decrease = state.cost - cost
-        damping = _next_damping(state, decrease, accept, first)
-        small = accept & (decrease <= self.rtol * state.cost) & ~first
-        small_decreases = jnp.where(small, state.small_decreases + 1, jnp.where(accept, 0, state.small_decreases))
+        # A trial that fails with an updated Jacobian says nothing about the damping.
+        stale = ~accept & (state.updates > 0)
+        damping = jnp.where(stale | state.refresh, state.damping, _next_damping(state, decrease, accept, first))
+        small = accept & (decrease <= self.rtol * state.cost) & ~first & ~state.refresh
+        moved = accept & ~state.refresh
+        small_decreases = jnp.where(small, state.small_decreases + 1, jnp.where(moved, 0, state.small_decreases))
         point = jnp.where(accept, state.trial, point)
         residual = jnp.where(accept, residual, state.residual)
         jacobian = jnp.where(accept, jacobian, state.jacobian)
         cost = jnp.where(accept, cost, state.cost)
+        updates = jnp.where(accept, updates, state.updates)
         aux = jax.tree.map(lambda new, old: jnp.where(accept, new, old), aux, state.aux)
         trial, predicted = _propose(point, residual, jacobian, damping, lower, upper)
         still = (predicted >= 0) & (predicted <= self.rtol * _PREDICTED_SHARE * cost)
         converged = (small_decreases >= _SMALL_DECREASES) | (still & ~first) | (first & (predicted == 0))
+        refresh = stale | (converged & (updates > 0))
         status = jnp.select(
-            [first & ~finite, converged, damping > _MAX_DAMPING],
+            [first & ~finite, converged & ~refresh, damping > _MAX_DAMPING],
             [SolverStatus.failed.value, SolverStatus.converged.value, SolverStatus.stalled.value],
             SolverStatus.running.value,
         ).astype(jnp.int64)
         state = LMState(
-            trial=trial,
+            trial=jnp.where(refresh, point, trial),
             residual=residual,
             jacobian=jacobian,
             cost=cost,
             damping=jnp.maximum(damping, _MIN_DAMPING),
             predicted=predicted,
-            small_decreases=small_decreases,
-            rejections=jnp.where(accept, 0, state.rejections + 1),
+            small_decreases=jnp.where(refresh, jnp.minimum(small_decreases, _SMALL_DECREASES - 1), small_decreases),
+            rejections=jnp.where(accept | stale, 0, state.rejections + 1),
+            updates=updates,
+            refresh=refresh,
             steps=state.steps + 1,
             status=status,
             aux=aux,
@@ -219,25 +241,39 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, A
 
         return flat(self.lower), flat(self.upper)
 
-    def _evaluate(self, fn: Callable[..., Any], state: LMState) -> tuple[jax.Array, jax.Array, jax.Array, Any]:
-        """Residual, Jacobian, cost and auxiliary output at the trial point."""
+    def _evaluate(
+        self, fn: Callable[..., Any], point: jax.Array, state: LMState
+    ) -> tuple[jax.Array, jax.Array, jax.Array, Any, jax.Array]:
+        """Residual, Jacobian, cost and auxiliary output at the trial point, and the number of the Jacobian's updates.
+
+        Args:
+            fn: The function of the flat unknown.
+            point: The best point.
+            state: State of the search.
+        """
 
         def with_value(v: jax.Array) -> tuple[jax.Array, tuple[jax.Array, Any]]:
             output, aux = fn(v)
             r = ravel_pytree(output)[0]
             return r, (r, aux)
 
-        if self.lazy_jacobian:
-            residual, (_, aux) = with_value(state.trial)
-            cost = jnp.sum(residual**2)
-            derivative = jax.jacfwd(with_value, has_aux=True)
+        derivative = jax.jacfwd(with_value, has_aux=True)
+        if not self.lazy_jacobian:
+            jacobian, (residual, aux) = derivative(state.trial)
+            return residual, jacobian, jnp.sum(residual**2), aux, state.updates
+        residual, (_, aux) = with_value(state.trial)
+        cost = jnp.sum(residual**2)
+        if not self.secant_updates:
             jacobian = jax.lax.cond(
                 cost < state.cost, lambda v: derivative(v)[0], lambda _: state.jacobian, state.trial
             )
-        else:
-            jacobian, (residual, aux) = jax.jacfwd(with_value, has_aux=True)(state.trial)
-            cost = jnp.sum(residual**2)
-        return residual, jacobian, cost, aux
+            return residual, jacobian, cost, aux, state.updates
+        predicts = state.cost - cost >= _LEAST_GAIN * state.predicted
+        is_update = predicts & (state.updates < _MOST_UPDATES) & (state.steps > 0) & ~state.refresh
+        needed = state.refresh | ((cost < state.cost) & ~is_update)
+        updated = _broyden_update(state.jacobian, state.trial - point, residual - state.residual)
+        jacobian = jax.lax.cond(needed, lambda v: derivative(v)[0], lambda _: updated, state.trial)
+        return residual, jacobian, cost, aux, jnp.where(needed, 0, state.updates + 1)
 
     def terminate(
         self, fn: Callable[..., Any], y: Any, args: Any, options: Any, state: LMState, tags: Any
@@ -275,6 +311,21 @@ def predicted_decrease(
     """
     trial, predicted = _propose(y, residual, jacobian, jnp.asarray(_INITIAL_DAMPING), lower, upper)
     return predicted, jnp.max(jnp.abs(trial - y), initial=0.0)
+
+
+def _broyden_update(
+    jacobian: Float[Array, "m p"], change: Float[Array, " p"], difference: Float[Array, " m"]
+) -> Float[Array, "m p"]:
+    """The Jacobian nearest to the given one that explains the difference of two residuals. Source: broyden1965.
+
+    Args:
+        jacobian: Jacobian at the first point.
+        change: Second point minus the first.
+        difference: Residual at the second point minus that at the first.
+    """
+    square = change @ change
+    missing = difference - jacobian @ change
+    return jacobian + jnp.outer(missing, change / jnp.where(square > 0, square, 1.0))
 
 
 def _next_damping(state: LMState, decrease: jax.Array, accept: jax.Array, first: jax.Array) -> jax.Array:

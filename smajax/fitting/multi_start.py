@@ -113,6 +113,7 @@ class MultiStartResult(NamedTuple):
         jacobians: Jacobians there (s, m, p).
         costs: Sums of squares there (s,).
         statuses: Why each search ended.
+        updates: Number of updates of each Jacobian since it was computed.
         steps: Number of steps.
         simulations: Number of evaluations of the residual; a Jacobian counts as p.
         wall_time: Time of the steps, s.
@@ -124,6 +125,7 @@ class MultiStartResult(NamedTuple):
     jacobians: np.ndarray
     costs: np.ndarray
     statuses: list[SolverStatus]
+    updates: np.ndarray
     steps: int
     simulations: int
     wall_time: float
@@ -152,6 +154,7 @@ class MultiStartSolver:
         rtol: float = 1e-7,
         sequential: bool = False,
         primal_fn: Callable[[jax.Array, Any], Any] | None = None,
+        secant_updates: bool = False,
     ):
         """Place the searches at their starts; nothing is evaluated yet.
 
@@ -168,9 +171,13 @@ class MultiStartSolver:
             primal_fn: Function without derivatives, for a single start, called with the trial point and ``args``
                 before each step. ``fn`` is then called with ``(args, result)``, and derivatives are computed only for
                 accepted steps.
+            secant_updates: Update the Jacobian from residuals where that is enough; needs ``sequential`` or
+                ``primal_fn``.
         """
         self._fn, self._args, self._primal_fn = fn, args, primal_fn
-        self._solver = BoundedLevenbergMarquardt(jnp.asarray(rtol), lazy_jacobian=sequential or primal_fn is not None)
+        self._solver = BoundedLevenbergMarquardt(
+            jnp.asarray(rtol), lazy_jacobian=sequential or primal_fn is not None, secant_updates=secant_updates
+        )
         low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
         self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
         self._states = _initial_states(self._solver, self._points, size)
@@ -197,8 +204,9 @@ class MultiStartSolver:
         report = stoppable(progress or (lambda step, cost: None))
         try:
             while self.steps < last and (running := self._count_running()):
-                self.simulations += running * (1 + self._points.shape[1])
                 self._points, self._states = jax.block_until_ready(self._program(*self._arguments()))
+                updated = int(np.sum(np.asarray(self._states.updates) > 0))
+                self.simulations += running + (running - updated) * self._points.shape[1]
                 self.steps += 1
                 self._wall_time = time.perf_counter() - began
                 best = self.cost
@@ -229,6 +237,7 @@ class MultiStartSolver:
             jacobians=np.asarray(self._states.jacobian),
             costs=np.asarray(self._states.cost),
             statuses=[unfinished if s is SolverStatus.running else s for s in statuses],
+            updates=np.asarray(self._states.updates),
             steps=self.steps,
             simulations=self.simulations,
             wall_time=self._wall_time,

@@ -152,6 +152,7 @@ class OptimistixSearch:
             jacobians=np.stack([np.asarray(jacobian) for jacobian, _ in ends]),
             costs=self._costs.copy(),
             statuses=statuses,
+            updates=np.zeros(len(points), int),
             steps=self.steps,
             simulations=self.simulations,
             wall_time=self._wall_time,

@@ -386,7 +386,7 @@ def test_search_on_fewer_samples_has_the_same_optimum(evaluator, fitted, monkeyp
 
 
 def test_several_steps_for_each_sample_become_one_if_accurate(evaluator, monkeypatch):
-    monkeypatch.setattr("smajax.diagnosis.slotted_programs.start_compilation", lambda *_: [])
+    monkeypatch.setattr("smajax.diagnosis.slotted_programs.start_compilation", lambda *_, **__: [])
     usual = evaluator.problem
     parts, plant = [part.recordings[0] for part in usual.splits], usual.base_problem.plant
     rig = read_rig(data_path("recordings", "dead-weight-unexplained") / "rig.toml")

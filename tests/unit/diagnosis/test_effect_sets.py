@@ -101,9 +101,9 @@ def test_all_parameters_are_free_and_have_intervals(rig, recordings, monkeypatch
     compiled: list[int] = []
     start = slotted_programs.start_compilation
 
-    def start_compilation(model, vector):
+    def start_compilation(model, vector, **options):
         compiled.append(model.slot_matrix.shape[1])
-        return start(model, vector)
+        return start(model, vector, **options)
 
     monkeypatch.setattr(slotted_programs, "start_compilation", start_compilation)
     evaluator = CandidateEvaluator(problem, 0)

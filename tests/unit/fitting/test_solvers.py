@@ -32,7 +32,7 @@ def rosenbrock(y, args):
     return jnp.stack([args * (y[1] - y[0] ** 2), 1.0 - y[0]])
 
 
-@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("options", [{}, {"lazy_jacobian": True}, {"lazy_jacobian": True, "secant_updates": True}])
 @pytest.mark.parametrize(
     ("lower", "upper", "expected"),
     [
@@ -43,8 +43,8 @@ def rosenbrock(y, args):
     ],
     ids=["unbounded", "upper", "both", "fixed"],
 )
-def test_bounded_levenberg_marquardt_runs_under_optimistix(lower, upper, expected, lazy):
-    solver = BoundedLevenbergMarquardt(1e-12, lower, upper, lazy_jacobian=lazy)
+def test_bounded_levenberg_marquardt_runs_under_optimistix(lower, upper, expected, options):
+    solver = BoundedLevenbergMarquardt(1e-12, lower, upper, **options)
     solution = optx.least_squares(rosenbrock, solver, jnp.array([-1.2, 1.0]), 10.0)
     low, high = (np.broadcast_to(bound, 2) for bound in (lower, upper))
     if expected is None:
@@ -54,6 +54,26 @@ def test_bounded_levenberg_marquardt_runs_under_optimistix(lower, upper, expecte
         expected = free.x
     np.testing.assert_allclose(solution.value, expected, atol=1e-6)
     assert solution.result == optx.RESULTS.successful
+
+
+def test_updates_of_the_jacobian_replace_most_of_its_evaluations():
+    """Coupled valleys: the minimum is the same, with an exact Jacobian there, after fewer evaluations."""
+
+    def residual(y, _):
+        return jnp.concatenate([3.0 * (y[1:] - y[:-1] ** 2), 1.0 - y, jnp.sin(y)])
+
+    def search(secant_updates):
+        start, ends = np.linspace(-1.5, 1.5, 20)[None], (np.full(20, -5.0), np.full(20, 5.0))
+        options = {"size": 59, "rtol": 1e-12, "sequential": True, "secant_updates": secant_updates}
+        return MultiStartSolver(residual, None, start, *ends, **options).advance(400).result()
+
+    computed, updated = search(False), search(True)
+    assert computed.statuses == updated.statuses == [SolverStatus.converged]
+    assert updated.costs[0] == pytest.approx(computed.costs[0], rel=1e-9)
+    assert updated.updates[0] == 0
+    jacobian = jax.jacfwd(residual)(jnp.asarray(updated.points[0]), None)
+    np.testing.assert_allclose(updated.jacobians[0], jacobian, rtol=1e-12)
+    assert updated.simulations < 0.7 * computed.simulations
 
 
 def test_bounded_levenberg_marquardt_takes_pytrees_and_auxiliary_outputs():
