@@ -17,8 +17,8 @@ from smajax.diagnosis.structure import ASK_FROM
 # Largest number of evaluations of a search, which starts near its optimum, at a fit of the training split. Chosen by
 # trial.
 _MAX_EVALUATIONS = 12
-# Relative falls of the cost at which a search ends near the noise and where more is left, so that the exact optimum does
-# not matter. Chosen by trial; a diagnosis that explains nothing would spend most of its time here.
+# Relative falls of the cost at which a search ends near the noise and where more is left: there the exact optimum does
+# not matter, and a diagnosis that explains nothing would spend most of its time. Chosen by trial.
 _FTOL = 1e-6
 _FTOL_FAR = 1e-3
 # Share of the largest norm of a Jacobian column below which a parameter is held: such a column is rounding.

@@ -172,7 +172,8 @@ def test_document_and_page_have_structure_and_budget(rough, diagnosis):
     assert errors["holdout"] == pytest.approx(document["rmse"]["displacement"]["holdout_after"])
     assert "The wire has" in document["summary"] and "times the noise" in document["summary"]
     study = DiagnosisStudy(document=document, series=(), run={}, files={}, reason="")
-    assert study.structure == diagnosis.structure.variant and study.candidates == ()
+    assert study.structure == diagnosis.structure.variant
+    assert study.candidates == tuple(s.key for s in diagnosis.supports if not s.is_fact)
     assert list(study.error_budget) == ["naive", "base", "structure"]
     run = {"inputs": ["current"], "argv": [], "started": "", "machine": "", "versions": {}, "timings": {}}
     page = diagnosis_page(document, prediction_series(recordings, diagnosis), run, "")
