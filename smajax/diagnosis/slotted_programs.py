@@ -45,7 +45,7 @@ class SlottedPrograms:
         """
         empty = EffectSet()
         model, vector = self.model(problem, empty), self.vector(empty, base, ())
-        return start_compilation(model, vector, secant_updates=_uses_secants(problem))
+        return start_compilation(model, vector, secant_updates=problem.has_structure)
 
     def start_solver(
         self,
@@ -56,7 +56,7 @@ class SlottedPrograms:
         **options: float,
     ) -> MultiStartSolver:
         """Set up a search on the compiled programs, without a step (``compiled_model.start_solver``)."""
-        return start_solver(model, start, lower, upper, secant_updates=_uses_secants(model.problem), **options)
+        return start_solver(model, start, lower, upper, secant_updates=model.problem.has_structure, **options)
 
     def model(
         self,
@@ -80,7 +80,7 @@ class SlottedPrograms:
         with self._compiling:  # searches run two at a time
             if slots not in self._compiled:
                 vector = self.vector(effect_set, problem.nominal, free, term)
-                for thread in start_compilation(model, vector, secant_updates=_uses_secants(problem)):
+                for thread in start_compilation(model, vector, secant_updates=problem.has_structure):
                     thread.join()
                 self._compiled.add(slots)
         return model
@@ -123,8 +123,3 @@ class SlottedPrograms:
         vector, model = jnp.asarray(self.vector(effect_set, base, ())), self.model(problem, effect_set)
         simulated = simulate(vector, model)
         return np.asarray(simulated.residual), np.asarray(statuses(vector, model, simulated.trajectories))
-
-
-def _uses_secants(problem: Problem) -> bool:
-    """Whether searches update Jacobians from residuals: those of cells and grains cost as much as many simulations."""
-    return problem.plant.cells is not None or problem.plant.grains is not None

@@ -83,6 +83,11 @@ class Problem(AbstractFitProblem):
     per_recording: tuple[str, ...] = eqx.field(static=True)
 
     @property
+    def has_structure(self) -> bool:
+        """Whether the plant has cells or grains: its derivatives then cost as much as many simulations."""
+        return self.plant.cells is not None or self.plant.grains is not None
+
+    @property
     def nominal(self) -> np.ndarray:
         """The vector of the rig's own values, shape ``(p,)``."""
         return np.array([u.nominal / u.scale for u in self.unknowns])
