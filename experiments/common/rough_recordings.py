@@ -61,8 +61,12 @@ _OF_TWO_WIRES = _OF_ALL | {
     "wire-crosstalk": ("crosstalk", 0.1, {}),
 }
 # Under a dead weight every partial loop turns round at the plateau of the latent heat; with more of it, the wires would
-# barely transform under the inputs of ``draw_current``.
-_UNDER_A_WEIGHT = _OF_ONE_WIRE | {"latent-heat": ("latent_heat", 8e7, {})}
+# barely transform under the inputs of ``draw_current``, as under a lower limit of the current.
+_UNDER_A_WEIGHT = _OF_ONE_WIRE | {
+    "latent-heat": ("latent_heat", 8e7, {}),
+    "current-limit": ("saturation", 0.1, {}),
+    "backlash": ("play", 2e-3, {}),
+}
 # Against a spring, strain and transformation temperatures absorb most of a latent heat or a friction of the sizes
 # above, and all of a lever that changes.
 _ON_A_SPRING = {key: value for key, value in _OF_ONE_WIRE.items() if key != "load-change"} | {

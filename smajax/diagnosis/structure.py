@@ -16,11 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters
-from smajax.diagnosis.acceptance import MIN_SELECT_CUT
-from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit, EffectSet
-from smajax.diagnosis.data_split import SELECT, TRAIN
+from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.memory import diagnosis_memory
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
@@ -87,12 +85,14 @@ class Structure(NamedTuple):
         grains: Number of grains, 1 without. With cells alone their spreads are 0; they lie at different places.
         errors: RMSE of the selection split over the noise by variant, each fitted to the training split with the same
             effects; empty if the structure was not fitted.
+        jointly: Whether the errors are those of fits to training and selection split together, which decided.
     """
 
     variant: str = "neither"
     cells: int = 1
     grains: int = 1
     errors: Mapping[str, float] = {}
+    jointly: bool = False
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -276,87 +276,6 @@ def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -
     """Entries of the parameters of grains, and of the uneven convection, in the base vector."""
     values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: _START_ANGLE, UNEVEN: uneven}
     return np.array([values[u.name] / u.scale for u in problem.problems[TRAIN].unknowns if u.name in values])
-
-
-def compare_variants(
-    rig: CandidateEvaluator, state: SelectionState, evaluator: CandidateEvaluator, current: CandidateFit
-) -> tuple[Structure, CandidateEvaluator, CandidateFit]:
-    """Fit every variant with the same effects and choose the simplest one that predicts as well as the best.
-
-    Args:
-        rig: The evaluator of the problem without structure.
-        state: The state at the end of its forward selection.
-        evaluator: The evaluator of the problem with structure.
-        current: Its fit.
-
-    Returns:
-        The structure, and the evaluator and the fit of its variant.
-    """
-    problem = evaluator.problem
-    has_cells = problem.base_problem.plant.cells is not None
-    variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
-    fits = {variants[0]: (rig, _fit_without(rig, state, current)), variants[-1]: (evaluator, current)}
-    between = variants[1:-1]
-    held = map_in_pairs(lambda v: _fit_held(evaluator, current, held_values(v, has_cells)), between)
-    fits |= zip(between, held, strict=True)
-    errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
-    best = min(errors, key=lambda v: errors[v])
-    chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))
-    if chosen not in ("cells", "both"):
-        return Structure(chosen, 1, 1 if chosen == "neither" else GRAINS, errors), *fits[chosen]
-    # Uneven convection stays only where it predicts clearly better: elsewhere it absorbs other differences.
-    even = _fit_held(*fits[chosen], {UNEVEN: 0.0})
-    found = fits[chosen] if clearly_better(*even, *fits[chosen]) else even
-    errors[chosen] = math.sqrt(found[1].select_chi2)
-    return Structure(chosen, CELLS, GRAINS, errors), *found
-
-
-def _fit_held(
-    evaluator: CandidateEvaluator, fit: CandidateFit, values: Mapping[str, float]
-) -> tuple[CandidateEvaluator, CandidateFit]:
-    """The fit of the same effects with parameters held, and its evaluator."""
-    held = evaluator.on(holding(evaluator.problem, values))
-    return held, refit(held, fit, fit.refit.effect_set)
-
-
-def _fit_without(rig: CandidateEvaluator, state: SelectionState, fit: CandidateFit) -> CandidateFit:
-    """The fit of the same effects without structure."""
-    for earlier in (state.base_fit, state.current):
-        if set(earlier.keys) == set(fit.keys):
-            return earlier
-    return refit(rig, state.current, fit.refit.effect_set)
-
-
-def clearly_better(
-    evaluator: CandidateEvaluator, fit: CandidateFit, other_evaluator: CandidateEvaluator, other: CandidateFit
-) -> bool:
-    """Return whether another fit predicts the selection split better, and both by at least 5 % and beyond chance.
-
-    The errors of a rough rig lie in few short spans, so that the selection split alone says little about chance.
-
-    Args:
-        evaluator: The evaluator of the first fit.
-        fit: The first fit.
-        other_evaluator: The evaluator of the other fit.
-        other: The other fit.
-    """
-    if not math.isfinite(other.select_chi2):
-        return False
-    if not math.isfinite(fit.select_chi2):
-        return True
-    if other.select_chi2 >= fit.select_chi2:
-        return False
-    residuals = [
-        np.concatenate(
-            [
-                e.problem.counted_samples(e.problem.predict(f.refit.effect_set, f.refit.base, k), k)
-                for k in (TRAIN, SELECT)
-            ]
-        )
-        for e, f in ((evaluator, fit), (other_evaluator, other))
-    ]
-    cut = 1.0 - math.sqrt(other.total_chi2 / fit.total_chi2)
-    return cut >= MIN_SELECT_CUT and bootstrap_cut(residuals[0], residuals[1], evaluator.seed)[0] > 0.0
 
 
 def structured_plant(plant: Plant, structure: Structure) -> Plant:

@@ -22,14 +22,13 @@ from smajax.diagnosis.structure import (
     UNIFORM,
     Structure,
     candidate_keys,
-    clearly_better,
-    compare_variants,
     fit_from,
     fit_with_structure,
     may_have_structure,
     refit,
     structured_problem,
 )
+from smajax.diagnosis.structure_choice import compare_variants, halves_excess, is_clear_improvement
 from smajax.diagnosis.successive_halving import SHORT_SCHEDULE, successive_halving
 from smajax.diagnosis.support import judge_effects
 from smajax.progress import CallbackStop
@@ -91,7 +90,7 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
         report_progress(f"fitting {len(near)} effects next to cells and grains")
         fits += successive_halving(structured, near, far, SHORT_SCHEDULE)
     evaluator.problem.count_simulations(problem.simulations)
-    if not any(_replaces(evaluator, state, structured, f) for f in fits):
+    if not any(halves_excess(state, f) or is_clear_improvement(evaluator, state, structured, f) for f in fits):
         return evaluator, state, UNIFORM
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
@@ -103,7 +102,7 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
         pairs = _second_candidates(structured, beam)
         _add_effects(structured, inner, successive_halving(structured, pairs, schedule=SHORT_SCHEDULE))
     judge_effects(structured, inner)
-    if not _replaces(evaluator, state, structured, inner.current):
+    if not is_clear_improvement(evaluator, state, structured, inner.current, jointly=True):
         return evaluator, state, UNIFORM
     report_progress("comparing cells alone, grains alone, both, and neither")
     structure, chosen, fit = compare_variants(evaluator, state, structured, inner.current)
@@ -120,23 +119,6 @@ def _allowed_effects(problem: DiagnosisProblem, effect_set: EffectSet) -> Effect
     for key in effect_set.keys:
         effect_set = effect_set if key in problem.effects else effect_set.without(key)
     return effect_set
-
-
-def _replaces(
-    evaluator: CandidateEvaluator, state: SelectionState, structured: CandidateEvaluator, fit: CandidateFit
-) -> bool:
-    """Whether a fit with the structure takes the place of the one without.
-
-    It fits the training split better and predicts clearly better; or it has fewer effects, predicts clearly better than
-    the rig without effects, and not clearly worse than with them. Every wire has ends and grains, so that effects which
-    explain no more than these are not needed.
-    """
-    current = state.current
-    if fit.train_chi2 < current.train_chi2 and clearly_better(evaluator, current, structured, fit):
-        return True
-    if len(fit.keys) >= len(current.keys) or clearly_better(structured, fit, evaluator, current):
-        return False
-    return clearly_better(evaluator, state.base_fit, structured, fit)
 
 
 def _add_effects(evaluator: CandidateEvaluator, state: SelectionState, fits: list[CandidateFit]) -> list[CandidateFit]:

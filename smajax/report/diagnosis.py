@@ -103,6 +103,7 @@ def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:
         "cells": structure.cells,
         "grains": structure.grains,
         "select_error_over_noise": {variant: finite_or_none(error) for variant, error in structure.errors.items()},
+        "jointly": structure.jointly,
     }
     law = None if diagnosis.law is None else _law_entry(diagnosis.law)
     return {"structure": entry, "support": by_fact[True], "candidates": by_fact[False], "law": law}

@@ -87,9 +87,10 @@ def _structure_sentences(doc: Document) -> list[str]:
     found = [text for part, text in parts.items() if entry["variant"] in (part, "both")]
     errors = entry["select_error_over_noise"]
     before, after = (significant(errors[variant]) for variant in ("neither", entry["variant"]))
+    fits = " in fits to training and selection recording together" if entry.get("jointly") else ""
     return [
         f"The wire has {' and '.join(found)}: the error on the selection recording falls from {before} to {after} "
-        "times the noise."
+        f"times the noise{fits}."
     ]
 
 

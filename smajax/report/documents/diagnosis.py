@@ -122,6 +122,11 @@ class StructureEntry(Part):
         description="error on the selection recording relative to the noise, by variant, with the same effects; empty "
         "if the structure was not fitted, since the fit is near the noise or the rig file has cells or grains"
     )
+    jointly: bool = Field(
+        False,
+        description="whether fits to training and selection recording together decided, and the errors are theirs: the "
+        "training recording alone does not determine the structure",
+    )
 
 
 class LawEntry(Part):

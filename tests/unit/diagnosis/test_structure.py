@@ -11,6 +11,8 @@ import pytest
 
 from smajax import parameters
 from smajax.api.diagnose import DiagnosisStudy
+from smajax.diagnosis import structure_choice
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
 from smajax.diagnosis.outcome import diagnose
@@ -27,6 +29,7 @@ from smajax.diagnosis.structure import (
     WIDTHS,
     Structure,
     candidate_keys,
+    fit_with_structure,
     held_values,
     holding,
     may_have_structure,
@@ -34,6 +37,7 @@ from smajax.diagnosis.structure import (
     structured_problem,
     with_structure,
 )
+from smajax.diagnosis.structure_choice import compare_variants, halves_excess, is_clear_improvement, joint_errors
 from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
 from smajax.recordings.datasets import data_path
@@ -178,6 +182,28 @@ def test_document_and_page_have_structure_and_budget(rough, diagnosis):
     run = {"inputs": ["current"], "argv": [], "started": "", "machine": "", "versions": {}, "timings": {}}
     page = diagnosis_page(document, prediction_series(recordings, diagnosis), run, "")
     assert "Error budget of displacement" in page and '"waterfall"' in page.replace(" ", "")
+
+
+def test_fits_to_both_splits_decide_where_the_training_split_does_not_determine_the_structure(
+    rough, structured, diagnosis, monkeypatch
+):
+    _, recordings, problem = rough
+    evaluators = [CandidateEvaluator(p, 0) for p in (problem, structured)]
+    base = evaluators[0].evaluate(problem.fit(EffectSet(), problem.nominal))
+    state = SelectionState({}, problem.noise, base, base, 1.05, {})
+    fit = fit_with_structure(evaluators[1], EffectSet(), base)
+    # As if the prediction of the selection split said nothing.
+    monkeypatch.setattr(structure_choice, "clearly_better", lambda *_: False)
+    assert halves_excess(state, fit) and not is_clear_improvement(evaluators[0], state, evaluators[1], fit)
+    assert is_clear_improvement(evaluators[0], state, evaluators[1], fit, jointly=True)
+    structure, _, found = compare_variants(evaluators[0], state, evaluators[1], fit)
+    assert structure.variant == "both" and structure.jointly and found is fit
+    assert structure.errors["both"] - 1.0 < 0.5 * (structure.errors["neither"] - 1.0)
+    assert joint_errors((evaluators[1], fit), (evaluators[0], base)) is None
+    options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}
+    document = diagnosis_document(dataclasses.replace(diagnosis, structure=structure), recordings, **options)
+    assert document["structure"]["jointly"]
+    assert "in fits to training and selection recording together" in document["summary"]
 
 
 def test_a_wire_of_prescribed_temperature_gets_grains_and_no_cells():
