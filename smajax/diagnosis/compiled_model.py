@@ -44,7 +44,7 @@ SLOTS = 6
 # run on the same program.
 PADDING_MULTIPLE = 512
 # Relative fall of the cost at which a search ends by default. Chosen by trial.
-_RTOL = 1e-7
+RTOL = 1e-7
 
 
 class Simulated(NamedTuple):
@@ -193,7 +193,7 @@ def start_solver(
     start: Float[np.ndarray, " p"],
     lower: Float[np.ndarray, " p"],
     upper: Float[np.ndarray, " p"],
-    rtol: float = _RTOL,
+    rtol: float = RTOL,
     primal_fn: Callable[[jax.Array, SlottedModel], Simulated] = simulate,
     *,
     secant_updates: bool = False,

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm
 from smajax.diagnosis.compiled_model import (
+    RTOL,
     SLOTS,
     SlottedModel,
     simulate,
@@ -53,10 +54,10 @@ class SlottedPrograms:
         start: Float[np.ndarray, " p"],
         lower: Float[np.ndarray, " p"],
         upper: Float[np.ndarray, " p"],
-        **options: float,
+        rtol: float = RTOL,
     ) -> MultiStartSolver:
         """Set up a search on the compiled programs, without a step (``compiled_model.start_solver``)."""
-        return start_solver(model, start, lower, upper, secant_updates=model.problem.has_structure, **options)
+        return start_solver(model, start, lower, upper, rtol, secant_updates=model.problem.has_structure)
 
     def model(
         self,

@@ -174,8 +174,13 @@ def _search(
     solver = BoundedLevenbergMarquardt() if solver is None else solver
     if isinstance(solver, BoundedLevenbergMarquardt):
         sequential = recordings >= SEQUENTIAL_FROM or parts[0] or problem.has_structure
-        options = {"sequential": sequential, "secant_updates": problem.has_structure}
-        searches = MultiStartSolver(*arguments, size=problem.size, rtol=float(solver.rtol), **options)
+        searches = MultiStartSolver(
+            *arguments,
+            size=problem.size,
+            rtol=float(solver.rtol),
+            sequential=sequential,
+            secant_updates=problem.has_structure,
+        )
     else:
         searches = OptimistixSearch(solver, *arguments, size=problem.size)
     return _Search(starts, searches.advance(max_steps, progress).result(), screening_simulations, screening_time)
