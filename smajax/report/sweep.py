@@ -6,57 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from smajax.files.documents import finite_or_none
 from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
+from smajax.report.shown_values import format_value, shown_unit
 from smajax.report.summary import table
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
-from smajax.units import display_unit, from_si
 
 # Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
-# Units that are shown unchanged, since no multiple of them is more usual.
-_UNSCALED_UNITS = ("1", "J", "Hz", "s", "degC", "K")
-
-
-def shown_unit(unit: str) -> str:
-    """Return the unit in which a value with an internal ``unit`` is shown."""
-    return unit if unit in _UNSCALED_UNITS else "deg" if unit == "rad" else display_unit(unit)
-
-
-def metric_entry(value: float) -> float | str | None:
-    """Return a metric as JSON can store it: ``"inf"`` and ``"-inf"`` for infinities, ``None`` for NaN."""
-    return str(float(value)) if np.isinf(value) else finite_or_none(value)
-
-
-def format_value(value: float | str | None, unit: str) -> str:
-    """Format a value of the document in its shown unit.
-
-    Args:
-        value: The value in its internal unit, as ``metric_entry`` returns it.
-        unit: Its internal unit.
-
-    Returns:
-        The number with its unit; ``-`` for ``None``.
-    """
-    if value is None:
-        return "-"
-    if np.isinf(float(value)):
-        return "infinite" if float(value) > 0.0 else "minus infinite"
-    size = float(from_si(float(value), shown_unit(unit), unit)) if shown_unit(unit) != unit else float(value)
-    return f"{size:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
-
-
-def format_in_unit(value: float, unit: str, written: str) -> str:
-    """Format a value in the unit of a file.
-
-    Args:
-        value: The value in its internal unit; may be infinite.
-        unit: Its internal unit.
-        written: The unit of the file.
-    """
-    size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
-    return f"{size:.4g}" + ("" if written == "1" else f" {written}")
 
 
 def sweep_summary(doc: Mapping[str, Any]) -> str:
