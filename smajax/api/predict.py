@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from smajax.api.run_record import Clock, run_record
@@ -104,11 +105,18 @@ def predict(
         "warnings": check_dissipation(rig.plant, [channels]),
     }
     if cycles is not None and not failure:
-        run["metrics"] = {
-            n: {"value": finite_or_none(value), "unit": unit}
-            for n, (value, unit) in metrics_of_cycles(rig.plant, read.time, channels, cycles).items()
-        }
+        run["metrics"] = _metric_entries(rig, read, channels, cycles)
     return PredictionStudy(document=run, series=(series,), run=run, files=files, reason=failure, channels=channels)
+
+
+def _metric_entries(
+    rig: Rig, recording: Recording, channels: Mapping[str, np.ndarray], cycles: int
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of the last cycle by name."""
+    metrics = metrics_of_cycles(
+        rig.plant, jnp.asarray(recording.time), {c: jnp.asarray(v) for c, v in channels.items()}, cycles
+    )
+    return {n: {"value": finite_or_none(value), "unit": unit} for n, (value, unit) in metrics.items()}
 
 
 def _check_cycles(cycles: int, recording: Recording) -> None:

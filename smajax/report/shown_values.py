@@ -1,5 +1,8 @@
 """Values of documents in the units that people read."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from smajax.files.documents import finite_or_none
@@ -47,3 +50,17 @@ def format_in_unit(value: float, unit: str, written: str) -> str:
     """
     size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
     return f"{size:.4g}" + ("" if written == "1" else f" {written}")
+
+
+def format_parameter(value: float, entry: Mapping[str, Any]) -> str:
+    """Format a value of a parameter of a sweep.
+
+    Args:
+        value: The value in its internal unit.
+        entry: Entry of the parameter in sweep.json.
+
+    Returns:
+        The number with its unit, or the name of a listed value.
+    """
+    labels = entry.get("labels")
+    return labels[round(value)] if labels else format_value(value, entry["unit"])

@@ -8,9 +8,10 @@ import numpy as np
 
 from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
-from smajax.report.shown_values import format_value, shown_unit
+from smajax.report.shown_values import format_parameter, format_value, shown_unit
 from smajax.report.summary import table
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
+from smajax.sweeps.sobol import is_resolved
 
 # Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
@@ -35,7 +36,45 @@ def sweep_summary(doc: Mapping[str, Any]) -> str:
     elif any(entry["better"] for entry in doc["refined"]):
         words += _restoration_words(doc)
     words += "." + _constant_objectives_words(doc) + _unsettled_words(doc.get("settling", {}))
-    return words + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
+    words += _excluding_words(doc) + _limit_words(doc) + _margin_words(doc)
+    words += " But " + "; ".join(doc["problems"]) + "." if doc["problems"] else ""
+    return words + (f" To buy: {doc['purchase']}." if doc.get("purchase") else "")
+
+
+def _excluding_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the constraint that rules out most designs."""
+    counts = {n: entry["excludes"] for n, entry in doc["constraints"].items() if entry.get("excludes")}
+    if not counts:
+        return ""
+    name = max(counts, key=lambda n: counts[n])
+    alone = doc["constraints"][name]["excludes_alone"]
+    words = f" Of {doc['codes'].get('done', 0):,} simulated designs {name} rules out most, {counts[name]:,}"
+    words += f" ({alone:,} of them satisfy all others)" if len(doc["constraints"]) > 1 else ""
+    second = sorted(counts, key=lambda n: counts[n])[-2:-1]
+    return words + (f"; {second[0]} rules out {counts[second[0]]:,}." if second else ".")
+
+
+def _limit_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the limits of the material that hold."""
+    if not (limits := doc.get("limits")):
+        return ""
+    words = [
+        f"{name} at most {format_value(entry['at_most'], doc['metrics'][name]['unit'])}"
+        + (f" for {entry['cycles']:,.0f} cycles" if entry["cycles"] else "")
+        for name, entry in limits.items()
+    ]
+    name = next(iter(limits.values()))["parameter_set"]
+    return f' Limits of the material hold ({name}): {", ".join(words)}; limits = "none" turns them off.'
+
+
+def _margin_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the margins of the constraints."""
+    if not (margins := doc.get("margins")):
+        return ""
+    units = margins.get("units", {})
+    words = [f"{name} +- {format_value(width, units.get(name, '1'))}" for name, width in margins["vary"].items()]
+    words += [f"the 95 % intervals of the fit {margins['fit']}"] if margins["fit"] else []
+    return f" The constraints hold for {' and '.join(words)} (columns lowest_ and highest_)."
 
 
 def _refinement_words(doc: Mapping[str, Any], name: str, goal: str, best: Mapping[str, Any]) -> str:
@@ -99,7 +138,7 @@ def _rows(doc: Mapping[str, Any], entries: Sequence[tuple[str, Mapping[str, Any]
     return [
         (
             label,
-            *(format_value(row["parameters"][n], p["unit"]) for n, p in doc["parameters"].items()),
+            *(format_parameter(row["parameters"][n], p) for n, p in doc["parameters"].items()),
             *(format_value(row["metrics"][n], m["unit"]) for n, m in doc["metrics"].items()),
         )
         for label, row in entries
@@ -134,6 +173,9 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
     if columns := best_columns(doc):
         lines += [*table(columns, right=tuple(range(1, len(columns[0])))), ""]
     place = [f"Table, report and refined rigs in {folder}"] if folder else []
+    command = next((entry["command"] for entry in doc["refined"] if entry.get("command")), "")
+    if folder and command:
+        place.append(f"To see the figures of refined 1 again: cd {folder}, then {command}")
     return "\n".join([*lines, doc["summary"], *place])
 
 
@@ -154,12 +196,34 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
     if best := best_columns(doc):
         numbers = tuple(range(1, len(best[0])))
         sections += ["<h2>The best designs</h2>", pages.table(best[0], best[1:], numbers=numbers)]
+        sections += [f"<p><code>{escape(e['command'])}</code></p>" for e in doc["refined"] if e.get("command")][:1]
+    sections += _constraint_section(doc)
     sections += _design_pictures(doc, columns, pictures)
     sections += _sensitivity_section(doc, pictures)
     sections += ["<h2>Ranges</h2>", pages.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
     sections += pages.provenance_sections(run, rig)
     lead = f"{doc['designs']:,} designs, sampled by {doc['sampling']}."
     return pages.render_page(f"Sweep of {doc['rig']}", lead, sections, pictures)
+
+
+def _constraint_section(doc: Mapping[str, Any]) -> list[str]:
+    """Table of the constraints, with the designs that they rule out and the sources of the material's limits."""
+    if not doc["constraints"]:
+        return []
+    rows = []
+    for name, entry in doc["constraints"].items():
+        unit, limit = doc["metrics"][name]["unit"], _limit_of(doc, name, entry)
+        ends = [format_value(entry[key], unit) for key in ("at_least", "at_most")]
+        counts = ["-" if entry.get(key) is None else f"{entry[key]:,}" for key in ("excludes", "excludes_alone")]
+        rows.append((name, *ends, *counts, limit))
+    head = ("metric", "at least", "at most", "rules out", "it alone", "limit of the material")
+    return ["<h2>Constraints</h2>", pages.table(head, rows, numbers=(1, 2, 3, 4))]
+
+
+def _limit_of(doc: Mapping[str, Any], name: str, entry: Mapping[str, Any]) -> str:
+    """Source of a constraint that is a limit of the material; empty for others, such as a stricter one of the file."""
+    limit = (doc.get("limits") or {}).get(name.removeprefix("highest_"))
+    return limit["source"] if limit and limit["at_most"] == entry["at_most"] else ""
 
 
 def _design_pictures(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], pictures: list[Picture]) -> list[str]:
@@ -232,15 +296,14 @@ def _index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _format_index(value: Any) -> str:
+    """Format an index, or its interval, of which the part from 0 to 1 is shown; ``-`` for what no index can be."""
     if isinstance(value, list):
-        return " .. ".join("-" if v is None else f"{v:.2f}" for v in value)
-    return "-" if value is None else f"{value:.2f}"
+        return " .. ".join("-" if v is None else f"{min(max(v, 0.0), 1.0):.2f}" for v in value)
+    return f"{abs(value):.2f}" if is_resolved(value) else "-"
 
 
 def _range_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    rows = [
-        (n, format_value(e["from"], e["unit"]), format_value(e["to"], e["unit"])) for n, e in doc["parameters"].items()
-    ]
+    rows = [(n, format_parameter(e["from"], e), format_parameter(e["to"], e)) for n, e in doc["parameters"].items()]
     return rows + [
         (n, format_value(e["lowest"], e["unit"]), format_value(e["highest"], e["unit"]))
         for n, e in doc["metrics"].items()

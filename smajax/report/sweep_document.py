@@ -132,7 +132,9 @@ def _margin_entry(sweep: SweepFile) -> dict[str, Any]:
         return {}
     widths = np.max(np.abs(margins.corners), axis=0) if margins.corners else np.zeros(len(margins.names))
     vary = {n: float(width) for n, width in zip(margins.names, widths, strict=True) if width > 0.0}
-    return {"margins": {"metrics": list(margins.metrics), "vary": vary, "fit": margins.fit}}
+    declared = {n: sweep.subject.declarations[n].unit for n in vary}
+    units = {n: "K" if unit == "degC" else unit for n, unit in declared.items()}
+    return {"margins": {"metrics": list(margins.metrics), "vary": vary, "units": units, "fit": margins.fit}}
 
 
 def _purchase(sweep: SweepFile, document: Mapping[str, Any]) -> str:

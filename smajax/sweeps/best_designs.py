@@ -1,12 +1,13 @@
 """Best designs of a finished sweep: the feasible designs, the Pareto front, and their refinement."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from smajax.sweeps.pareto import constraint_violation, feasible_mask, objective_costs, pareto_front
+from smajax.sweeps.population import evolve_designs
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.refinement import RefinedDesign, refine, restore_and_refine, separated_starts
 from smajax.sweeps.space import Axis
@@ -52,8 +53,8 @@ def refine_best_designs(
     """Refine the best designs in the first objective, without a loss in the other objectives.
 
     If no design is feasible, the designs with the smallest violation are made feasible first. Listed values, such as
-    the diameters of a catalogue, are fixed in a refinement; with one objective, the values next to those of the best
-    result are tried as well, from the best sampled design that has them, until none is better.
+    the diameters of a catalogue, are fixed in these refinements. With one objective a population then searches all
+    axes, and its best design is refined.
 
     Args:
         sweep: The sweep.
@@ -84,11 +85,26 @@ def refine_best_designs(
     for row in separated_starts(shares, order, sweep.refine_starts):
         refine_row(row)
     if len(sweep.objectives) == 1:
-        tried = {_listed_values(sweep, result.design) for result in refined}
-        while (row := _untried_neighbour(sweep, columns, best, designs, refined, tried)) is not None:
-            refine_row(row)
-            tried.add(_listed_values(sweep, designs[row]))
+        report(f"searching with a population ({len(refined) + 1})")
+        refined.append(_refine_evolved(sweep, problem, designs[order], refined))
     return sorted(refined, key=lambda result: _rank(sweep, result))
+
+
+def _refine_evolved(
+    sweep: SweepFile,
+    problem: AbstractSweepProblem,
+    designs: Float[np.ndarray, "designs axes"],
+    refined: Sequence[RefinedDesign],
+) -> RefinedDesign:
+    """Refine the best design of a population that begins with refined designs and with the best sampled ones."""
+    objective = next(iter(sweep.objectives.items()))
+    starts = np.vstack([*(result.design for result in refined if result.better), designs])
+    evolved = evolve_designs(problem, sweep.axes, starts, objective, sweep.constraints, sweep.seed)
+    improve = refine if evolved.feasible else restore_and_refine
+    result = improve(problem, sweep.axes, evolved.design, sweep.objectives, sweep.constraints)
+    return result._replace(
+        simulations=result.simulations + evolved.simulations, better=result.better or evolved.feasible
+    )
 
 
 def _gap(axis: Axis) -> float:
@@ -114,40 +130,3 @@ def _rank(sweep: SweepFile, result: RefinedDesign) -> tuple[bool, float]:
     name, goal = next(iter(sweep.objectives.items()))
     cost = result.metrics[name] * (-1.0 if goal == "max" else 1.0)
     return not result.better, cost if np.isfinite(cost) else np.inf
-
-
-def _listed_values(sweep: SweepFile, design: Float[np.ndarray, " axes"]) -> tuple[float, ...]:
-    return tuple(float(value) for value, axis in zip(design, sweep.axes, strict=True) if axis.values)
-
-
-def _untried_neighbour(
-    sweep: SweepFile,
-    columns: Mapping[str, np.ndarray],
-    best: BestDesigns,
-    designs: Float[np.ndarray, "designs axes"],
-    refined: Sequence[RefinedDesign],
-    tried: Collection[tuple[float, ...]],
-) -> int | None:
-    """Row of the best sampled design whose listed values are next to those of the best result, and not tried yet."""
-    feasible = [result for result in refined if constraint_violation(result.metrics, sweep.constraints) <= 0.0]
-    if not feasible:
-        return None
-    top = min(feasible, key=lambda result: _rank(sweep, result)[1])
-    violation = np.where(columns["code"] == "done", constraint_violation(columns, sweep.constraints), np.inf)
-    cost = np.nan_to_num(best.costs[:, 0], nan=np.inf)
-    for k, axis in enumerate(sweep.axes):
-        values = sorted(set(axis.values))
-        if not values:
-            continue
-        place = values.index(float(top.design[k]))
-        nearby = values if axis.labels else values[max(0, place - 1) : place + 2]
-        for value in nearby:
-            wanted = top.design.copy()
-            wanted[k] = value
-            if _listed_values(sweep, wanted) in tried:
-                continue
-            same = np.all([designs[:, j] == wanted[j] for j, other in enumerate(sweep.axes) if other.values], axis=0)
-            rows = np.flatnonzero(same & np.isfinite(violation))
-            if len(rows):
-                return int(rows[np.lexsort((cost[rows], violation[rows]))[0]])
-    return None

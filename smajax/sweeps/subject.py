@@ -203,8 +203,8 @@ class RigSubject:
         if not isinstance(source, Excitation):
             return self
         by_name = {axis.name: axis for axis in axes}
-        if wave := by_name.get(f"{INPUT}wave"):
-            source = replace(source, shapes=wave.labels)
+        if shapes := by_name.get(f"{INPUT}wave"):
+            source = replace(source, shapes=shapes.labels)
         if duty := by_name.get(f"{INPUT}duty"):
             check_duties(duty, source, self.rig.plant.mechanism.wires)
             source = replace(source, duties=(duty.lower, duty.upper))

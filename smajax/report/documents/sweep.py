@@ -53,6 +53,7 @@ class MarginEntry(Part):
 
     metrics: list[str] = Field(description="metrics with margin, which the constraints bound")
     vary: dict[str, float] = Field(description="half widths of ranges by parameter, in its unit")
+    units: dict[str, str] = Field(description="units of these half widths")
     fit: str = Field(description="folder of the fit whose intervals count; empty for none")
 
 
