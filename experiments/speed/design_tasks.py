@@ -76,7 +76,7 @@ def task_row(task: DesignTask, samples: int) -> Row:
     target = f"feasible with its margin, within {100 * LOSS:.0f} % of the best of {samples:,}"
     answers = [entry for entry in study.refined if entry["better"]] + list(study.pareto)
     if not answers:
-        return Row(task.title, target, "no answer", sampled is None, {"sampled": sampled})
+        return Row(task.title, target, "no answer", False, {"sampled": sampled})
     answer = min(answers, key=lambda entry: sign * float(entry["metrics"][metric]))
     slack, exact = exact_slack(description, problem, answer)
     unit, value = problem.units[metric], float(answer["metrics"][metric])

@@ -76,10 +76,8 @@ def predict(
     with clock.time("read"):
         rig = as_rig(rig)
         text = rig_text(rig)
-        source = one_source(recording, "recording")
-        read = rig.read(source, drop_bad_rows=drop_bad_rows, observed=False)
-        if cycles is not None:
-            _check_cycles(cycles, read)
+        read = rig.read(one_source(recording, "recording"), drop_bad_rows=drop_bad_rows, observed=False)
+        _check_cycles(cycles, read)
     reporter.phase("compiling and simulating")
     with clock.time("simulate"):
         result = simulate(rig.plant, read, interpolation=rig.interpolation, throw=False)
@@ -104,8 +102,7 @@ def predict(
         "recordings": [recording_entry(read, "simulation")],
         "warnings": check_dissipation(rig.plant, [channels]),
     }
-    if cycles is not None and not failure:
-        run["metrics"] = _metric_entries(rig, read, channels, cycles)
+    run |= {"metrics": _metric_entries(rig, read, channels, cycles)} if cycles and not failure else {}
     return PredictionStudy(document=run, series=(series,), run=run, files=files, reason=failure, channels=channels)
 
 
@@ -119,15 +116,16 @@ def _metric_entries(
     return {n: {"value": finite_or_none(value), "unit": unit} for n, (value, unit) in metrics.items()}
 
 
-def _check_cycles(cycles: int, recording: Recording) -> None:
-    """Raises InputError if a recording does not consist of so many cycles."""
+def _check_cycles(cycles: int | None, recording: Recording) -> None:
+    """Raises InputError if a recording does not consist of so many cycles, if a number is given."""
+    if cycles is None:
+        return
     whole_number("predict", "cycles", cycles, 1, _MAX_CYCLES)
     if not recording.has_clock:
         raise InputError(f"cycles: {recording.name} has no time, and so no cycles: leave cycles out")
     if len(recording) <= 2 * cycles:
-        raise InputError(
-            f"cycles = {cycles}: {recording.name} has {len(recording)} rows: give the number of its cycles"
-        )
+        rows = f"{recording.name} has {len(recording)} rows"
+        raise InputError(f"cycles = {cycles}: {rows}, too few for so many: give the number of its cycles")
 
 
 def _rows_before_failure(channels: Mapping[str, np.ndarray]) -> int:

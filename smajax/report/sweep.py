@@ -276,7 +276,7 @@ def _sensitivity_section(doc: Mapping[str, Any], pictures: list[Picture]) -> lis
         head = ("metric", "parameter", "first order", "95 %", "total", "95 %")
         sections.append("<h2>Sensitivity</h2>")
         sections.append(pages.add_picture(sweep_plots.sensitivity_picture(doc["sensitivity"]), pictures))
-        sections.append(pages.table(head, _index_rows(doc), numbers=(2, 3, 4, 5)))
+        sections.append(pages.table(head, index_rows(doc), numbers=(2, 3, 4, 5)))
     if notes := doc.get("sensitivity_notes"):
         sections.append(f"<p>{escape(' '.join(notes))}</p>")
     return sections
@@ -286,7 +286,12 @@ def _bound(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
 
 
-def _index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of the table of Sobol indices; an index outside of 0 to 1 is not shown.
+
+    Args:
+        doc: The document sweep.json.
+    """
     rows = []
     for metric, indices in doc["sensitivity"].items():
         for name, index in indices.items():

@@ -81,9 +81,8 @@ def trade_off_picture(
     if not (np.isfinite(x[feasible]).all() and np.isfinite(y[feasible]).all()):
         caption += " Designs with an infinite or missing metric are left out."
     if far := int(np.sum(np.isfinite(x) & np.isfinite(y) & ~near)):
-        caption += (
-            f" {far:,} designs that violate a constraint lie far from those that satisfy all, outside of the figure."
-        )
+        lie = "design lies" if far == 1 else "designs lie"
+        caption += f" {far:,} {lie} far from those that satisfy all constraints, outside of the figure."
     return Picture("Trade-off", caption, go.Figure(data, layout), _TRADE_OFF_HEIGHT)
 
 

@@ -1,6 +1,7 @@
 """Best designs of a finished sweep: the feasible designs, the Pareto front, and their refinement."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -53,8 +54,8 @@ def refine_best_designs(
     """Refine the best designs in the first objective, without a loss in the other objectives.
 
     If no design is feasible, the designs with the smallest violation are made feasible first. Listed values, such as
-    the diameters of a catalogue, are fixed in these refinements. With one objective a population then searches all
-    axes, and its best design is refined.
+    the diameters of a catalogue, are fixed in these refinements. With one objective populations then search all axes,
+    and their best designs are refined.
 
     Args:
         sweep: The sweep.
@@ -85,26 +86,85 @@ def refine_best_designs(
     for row in separated_starts(shares, order, sweep.refine_starts):
         refine_row(row)
     if len(sweep.objectives) == 1:
-        report(f"searching with a population ({len(refined) + 1})")
-        refined.append(_refine_evolved(sweep, problem, designs[order], refined))
+        refined += _refine_populations(sweep, problem, designs[order], refined, report)
     return sorted(refined, key=lambda result: _rank(sweep, result))
 
 
-def _refine_evolved(
+def _refine_populations(
     sweep: SweepFile,
     problem: AbstractSweepProblem,
     designs: Float[np.ndarray, "designs axes"],
     refined: Sequence[RefinedDesign],
+    report: Callable[[str], None],
+) -> list[RefinedDesign]:
+    """Refine the best designs of populations: of one over all axes, and then of one for each listed value next to
+    those of the best result, until none is better.
+
+    Args:
+        sweep: The sweep.
+        problem: Maps a design to its metrics.
+        designs: The sampled designs, the best first.
+        refined: Refined designs so far.
+        report: Called with a message before each population.
+    """
+    results: list[RefinedDesign] = []
+    tried: set[tuple[float, ...]] = set()
+    axes: Sequence[Axis] | None = sweep.axes
+    while axes is not None:
+        report(f"searching with a population ({len(refined) + len(results) + 1})")
+        results.append(_refine_population(sweep, problem, axes, designs, [*refined, *results]))
+        tried.add(_listed_values(axes) or _listed_values(sweep.axes, results[-1].design))
+        axes = _untried_neighbour(sweep, [*refined, *results], tried)
+    return results
+
+
+def _refine_population(
+    sweep: SweepFile,
+    problem: AbstractSweepProblem,
+    axes: Sequence[Axis],
+    designs: Float[np.ndarray, "designs axes"],
+    refined: Sequence[RefinedDesign],
 ) -> RefinedDesign:
-    """Refine the best design of a population that begins with refined designs and with the best sampled ones."""
+    """Refine the best design of a population over axes, of which some may have one value only."""
     objective = next(iter(sweep.objectives.items()))
-    starts = np.vstack([*(result.design for result in refined if result.better), designs])
-    evolved = evolve_designs(problem, sweep.axes, starts, objective, sweep.constraints, sweep.seed)
+    best_first = sorted(refined, key=lambda result: _rank(sweep, result))
+    starts = np.vstack([*(result.design for result in best_first if result.better), designs])
+    evolved = evolve_designs(problem, axes, starts, objective, sweep.constraints, sweep.seed)
     improve = refine if evolved.feasible else restore_and_refine
     result = improve(problem, sweep.axes, evolved.design, sweep.objectives, sweep.constraints)
     return result._replace(
         simulations=result.simulations + evolved.simulations, better=result.better or evolved.feasible
     )
+
+
+def _listed_values(axes: Sequence[Axis], design: Float[np.ndarray, " axes"] | None = None) -> tuple[float, ...]:
+    """Values of a design on the axes with listed values; without a design those of axes of one value, or none."""
+    listed = [(k, axis) for k, axis in enumerate(axes) if axis.values]
+    if design is not None:
+        return tuple(float(design[k]) for k, _ in listed)
+    return tuple(axis.values[0] for _, axis in listed) if all(len(axis.values) == 1 for _, axis in listed) else ()
+
+
+def _untried_neighbour(
+    sweep: SweepFile, refined: Sequence[RefinedDesign], tried: Collection[tuple[float, ...]]
+) -> list[Axis] | None:
+    """Axes with the listed values next to those of the best result that no population had yet; ``None`` if all had."""
+    feasible = [result for result in refined if constraint_violation(result.metrics, sweep.constraints) <= 0.0]
+    if not feasible:
+        return None
+    top = min(feasible, key=lambda result: _rank(sweep, result)[1]).design
+    for k, axis in enumerate(sweep.axes):
+        values = sorted(set(axis.values))
+        place = values.index(float(top[k])) if values else 0
+        for value in values if axis.labels else values[max(0, place - 1) : place + 2]:
+            wanted = top.copy()
+            wanted[k] = value
+            if _listed_values(sweep.axes, wanted) not in tried:
+                return [
+                    replace(other, values=(float(wanted[j]),)) if other.values else other
+                    for j, other in enumerate(sweep.axes)
+                ]
+    return None
 
 
 def _gap(axis: Axis) -> float:

@@ -56,12 +56,10 @@ def design_input(
         units = {n: unit for n, unit in source.units.items() if n in names or n == "time"}
         recording = Recording.from_arrays("input.csv", source.time, {n: source.channels[n] for n in names}, units)
         return DesignInput(subject.to_toml(own), recording, subject.cycles)
-    of_input = {n.removeprefix(INPUT): v for n, v in values.items() if n.startswith(INPUT)}
-    shape = source.all_shapes[int(of_input.pop("wave", 0.0))]
-    one = replace(source, shape=shape, shapes=(), duty=of_input.pop("duty", source.duty), duties=None)
+    of_input = {n.removeprefix(INPUT): jnp.asarray(v) for n, v in values.items() if n.startswith(INPUT)}
+    shape = source.all_shapes[int(of_input.get("wave", 0))]
     wires, control = subject.rig.plant.mechanism.wires, subject.rig.plant.drive.control
-    values_of_input = {n: jnp.asarray(v) for n, v in of_input.items()}
-    inputs = discretise_excitation(one, wires, problem.shared_steps(design), values_of_input)
+    inputs = discretise_excitation(source, wires, problem.shared_steps(design), of_input)
     signals = np.asarray(inputs.sample_signals)
     channels = {n: signals[:, k] for k, n in enumerate(numbered(control, wires))}
     rig = replace(subject.rig, interpolation="hold" if shape == "square" else "linear")

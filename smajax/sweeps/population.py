@@ -26,7 +26,7 @@ from smajax.sweeps.step_levels import next_power_of_two
 # compares the results with the best of 100,000 samples.
 _POPULATION = 64
 _GENERATIONS = 40
-# Cost of a design that violates constraints: more than this, and by its violation; above the objective of a feasible one.
+# Cost above which a design violates constraints, relative to the objective of the best start.
 _VIOLATION_COST = 1e9
 
 
@@ -67,15 +67,17 @@ def evolve_designs(
     shares = np.column_stack([_shares(axis, starts[:, k]) for k, axis in enumerate(axes)])[: _POPULATION // 2]
     drawn = scipy.stats.qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random(_POPULATION)
     first = np.clip(np.vstack([shares, drawn])[:_POPULATION], 0.0, 1.0)
-    count = 0
+    count, scale = 0, 0.0
 
     def cost(population: Float[np.ndarray, "axes designs"]) -> Float[np.ndarray, " designs"]:
-        nonlocal count
+        nonlocal count, scale
         count += population.shape[1]
         values = _evaluate(problem, to_designs(axes, population.T))
         violation = constraint_violation(values, tightened)
-        size = sign * np.nan_to_num(values[name], nan=sign * math.inf)
-        costs = np.where(np.isfinite(size), size, np.where(size < 0.0, -_VIOLATION_COST, _VIOLATION_COST))
+        size = np.where(np.isnan(values[name]), math.inf, sign * values[name])
+        # The first population begins with the best start.
+        scale = scale or max((abs(v) for v in size[np.isfinite(size)][:1]), default=0.0) or 1.0
+        costs = np.clip(size / scale, -_VIOLATION_COST, _VIOLATION_COST)
         return np.where(violation > 0.0, _VIOLATION_COST * (2.0 + violation), costs)
 
     result = scipy.optimize.differential_evolution(

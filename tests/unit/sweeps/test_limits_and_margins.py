@@ -10,18 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from smajax import parameters
 from smajax.api.fit import fit
+from smajax.api.predict import predict
 from smajax.api.sweep import sweep
+from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files.material_limits import Limit, MaterialLimits, limits_from_document, read_catalogue, read_limits
 from smajax.files.parameter_sets import find_set, shipped_sets
 from smajax.files.rig_file import read_rig
 from smajax.recordings.datasets import data_path
+from smajax.report.sweep import index_rows
+from smajax.report.sweep_plots import parallel_picture, sensitivity_picture, trade_off_picture
 from smajax.sweeps.excitation import Excitation, discretise_excitation
 from smajax.sweeps.margins import Margins, margins_from_document
 from smajax.sweeps.rig_problem import RigSweepProblem
+from smajax.sweeps.sobol import SobolIndex, is_resolved, unresolved_indices
 from smajax.sweeps.sweep_file import from_header, read_sweep
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -317,3 +323,92 @@ def test_a_constant_duty_gives_the_same_grid_as_one_that_varies():
     first = discretise_excitation(fixed, 1, 50, {})
     second = discretise_excitation(replace(varied, duty=0.3), 1, 50, {"duty": jnp.asarray(0.3)})
     np.testing.assert_allclose(np.asarray(first.time), np.asarray(second.time), atol=1e-15)
+
+
+class TestRefinedDesigns:
+    @pytest.mark.parametrize("shape", ["square", "triangle"])
+    def test_the_command_shows_the_figures_again(self, folder, shape):
+        """The rig is linear between samples, and a square input of a sweep is not: 7.69 mm instead of 8 before."""
+        assert read_rig(folder / "rig.toml").interpolation == "linear"
+        lines = 'input.duty = ["0.3", "0.45"]\n' if shape == "square" else ""
+        text = SWEEP.replace('"square"', f'"{shape}"').replace("[input]\n", f"{lines}[input]\n")
+        (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")
+        study = sweep(folder / "sweep.toml", folder=folder / "out")
+        entry = study.refined[0]
+        words = entry["command"].split()
+        assert words[:2] == ["smajax", "simulate"] and f"cd {folder / 'out'}" in study.summary(str(folder / "out"))
+        paths = [str(folder / "out" / word) if word.endswith((".toml", ".csv")) else word for word in words[1:]]
+        paths[-1] = str(folder / "shown")
+        result = CliRunner().invoke(app, paths)
+        assert result.exit_code == 0, result.output
+        shown = json.loads((folder / "shown" / "run.json").read_text("utf-8"))["metrics"]
+        # Linear inputs have more steps between rows in a simulation.
+        tolerance = 1e-6 if shape == "square" else 2e-3
+        for name in ("stroke", "peak_temperature", "peak_stress", "strain_range", "energy_per_cycle"):
+            assert shown[name]["value"] == pytest.approx(entry["metrics"][name], rel=tolerance)
+        assert "Last cycle:" in result.output and "strain_range" in result.output
+
+    def test_the_answer_ends_with_what_to_buy(self, folder):
+        text = TestCatalogue.TEXT.replace("designs = 64", "designs = 32")
+        (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")
+        study = sweep(folder / "sweep.toml")
+        length = 1e3 * study.refined[0]["parameters"]["wire.length"]
+        size = 1e3 * study.refined[0]["parameters"]["wire.diameter"]
+        end = f"To buy: {length:.4g} mm of SmartFlex wire of {size:g} mm, and a length for the clamps."
+        assert study.document["summary"].endswith(end)
+
+    def test_cycles_of_a_recording_are_checked(self, folder):
+        rig, recording = folder / "rig.toml", BENCH / "train.csv"
+        assert "metrics" not in predict(rig, recording).document
+        with pytest.raises(InputError, match=r"cycles = 5000: train.csv has \d+ rows, too few for so many"):
+            predict(rig, recording, cycles=5000)
+        with pytest.raises(InputError, match="cycles"):
+            predict(rig, recording, cycles=0)
+
+
+class TestReport:
+    def test_what_rules_most_designs_out_is_said(self, folder):
+        study = sweep(folder / "sweep.toml")
+        columns = study.designs
+        excludes = {
+            "stroke": np.sum(columns["stroke"] < 5e-3),
+            "peak_temperature": np.sum(columns["peak_temperature"] > 110.0),
+            "peak_stress": np.sum(columns["peak_stress"] > 172e6),
+            "strain_range": np.sum(columns["strain_range"] > 0.035),
+        }
+        entries = study.document["constraints"]
+        assert {n: entry["excludes"] for n, entry in entries.items()} == excludes
+        most = max(excludes, key=lambda n: excludes[n])
+        words = (
+            f"{most} rules out most, {excludes[most]} ({entries[most]['excludes_alone']} of them satisfy all others)"
+        )
+        assert words in study.document["summary"]
+        alone = (columns["stroke"] < 5e-3) & (columns["peak_temperature"] <= 110.0) & (columns["peak_stress"] <= 172e6)
+        assert entries["stroke"]["excludes_alone"] == np.sum(alone & (columns["strain_range"] <= 0.035))
+        assert (
+            "Limits of the material hold (flexinol): peak_stress at most 172 MPa for 1,000,000 cycles"
+            in (study.document["summary"])
+        )
+
+    def test_axes_ignore_designs_far_from_useful(self):
+        columns = {"a": np.array([1.0, 2.0, 3.0, 1e6]), "b": np.array([1.0, 2.0, 2.5, 4.0]), "design": np.arange(4)}
+        feasible = np.array([True, True, True, False])
+        axes = [("a", "1", "1"), ("b", "1", "1")]
+        picture = trade_off_picture(columns, feasible, axes, np.array([0]), [])
+        values = np.concatenate([np.asarray(trace.x, float) for trace in picture.figure.data])
+        assert values.max() == 3.0 and "1 design lies far" in picture.caption
+        lines = parallel_picture(columns, feasible, [(*axis, False) for axis in axes], np.array([0])).figure
+        assert "3" in [mark.text for mark in lines.layout.annotations]
+        assert "1e+06" not in [mark.text for mark in lines.layout.annotations]
+
+    def test_indices_outside_of_0_to_1_are_explained_and_not_shown(self):
+        index = SobolIndex(-0.2, (-0.5, 0.1), 1.3, (0.8, 1.6))
+        words = unresolved_indices(
+            {"wire.diameter": index, "wire.length": SobolIndex(0.1, (0.0, 0.2), 0.3, (0.2, 0.4))}
+        )
+        assert words == ["the first-order index of wire.diameter (-0.20)", "the total index of wire.diameter (1.30)"]
+        assert is_resolved(-0.004) and is_resolved(1.0) and not is_resolved(None) and not is_resolved(1.01)
+        entries = {"m": {"p": {k: list(v) if isinstance(v, tuple) else v for k, v in index._asdict().items()}}}
+        rows = index_rows({"sensitivity": entries})
+        assert rows == [("m", "p", "-", "0.00 .. 0.10", "-", "0.80 .. 1.00")]
+        assert sensitivity_picture(entries).figure.data[0].z[0][0] is None
