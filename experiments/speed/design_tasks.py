@@ -82,7 +82,7 @@ def task_row(task: DesignTask, samples: int) -> Row:
     unit, value = problem.units[metric], float(answer["metrics"][metric])
     words = f"{metric} {format_value(value, unit)}, exactly {format_value(exact[metric], unit)}; nearest constraint: "
     tightest = min(slack, key=lambda n: slack[n])
-    words += f"{tightest} {100 * slack[tightest]:+.2f} %"
+    words += f"{tightest} {100 * slack[tightest]:+.3f} %"
     loss = -np.inf if sampled is None else sign * (value - sampled) / abs(sampled)
     words += f"; best sample: {'none' if sampled is None else format_value(sampled, unit)}"
     words += "" if sampled is None else f" ({100 * abs(loss):.1f} % {'worse' if loss < 0 else 'better'})"

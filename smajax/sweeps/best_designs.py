@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from smajax.sweeps.constraints import safe_bounds
 from smajax.sweeps.pareto import constraint_violation, feasible_mask, objective_costs, pareto_front
 from smajax.sweeps.population import evolve_designs
 from smajax.sweeps.problem import AbstractSweepProblem
@@ -76,18 +77,49 @@ def refine_best_designs(
         [designs[:, k] / _gap(axis) if axis.values else axis.share(designs[:, k]) for k, axis in enumerate(sweep.axes)]
     )
     order = _order_of_starts(sweep, columns, best)
+    inside = feasible_mask(columns, safe_bounds(sweep.constraints))
     refined: list[RefinedDesign] = []
-
-    def refine_row(row: int) -> None:
-        report(f"refining design {int(columns['design'][row])} ({len(refined) + 1})")
-        improve = refine if best.feasible[row] else restore_and_refine
-        refined.append(improve(problem, sweep.axes, designs[row], sweep.objectives, sweep.constraints))
-
     for row in separated_starts(shares, order, sweep.refine_starts):
-        refine_row(row)
+        report(f"refining design {int(columns['design'][row])} ({len(refined) + 1})")
+        refined.append(_refine_design(sweep, problem, designs[row], bool(best.feasible[row]), bool(inside[row])))
     if len(sweep.objectives) == 1:
         refined += _refine_populations(sweep, problem, designs[order], refined, report)
     return sorted(refined, key=lambda result: _rank(sweep, result))
+
+
+def _refine_design(
+    sweep: SweepFile,
+    problem: AbstractSweepProblem,
+    design: Float[np.ndarray, " axes"],
+    feasible: bool,
+    feasible_inside: bool,
+) -> RefinedDesign:
+    """Refine a design within bounds that leave room for the error of the time steps; at the bounds if there is none.
+
+    Args:
+        sweep: The sweep.
+        problem: Maps a design to its metrics.
+        design: The design, shape ``(axes,)``.
+        feasible: Whether it satisfies all constraints.
+        feasible_inside: Whether it satisfies them with that room.
+    """
+    inner = safe_bounds(sweep.constraints)
+    if feasible_inside:
+        return refine(problem, sweep.axes, design, sweep.objectives, inner)
+    result = restore_and_refine(problem, sweep.axes, design, sweep.objectives, inner)
+    if not feasible:
+        return result
+    if result.better and _is_better(sweep, result):
+        return result._replace(restored=False)
+    outer = refine(problem, sweep.axes, design, sweep.objectives, sweep.constraints)
+    return outer._replace(simulations=outer.simulations + result.simulations)
+
+
+def _is_better(sweep: SweepFile, result: RefinedDesign) -> bool:
+    """Whether a feasible design is better than its start in the first objective."""
+    name, goal = next(iter(sweep.objectives.items()))
+    after, before = result.metrics[name], result.before[name]
+    return after > before if goal == "max" else after < before
 
 
 def _refine_populations(
@@ -129,9 +161,8 @@ def _refine_population(
     objective = next(iter(sweep.objectives.items()))
     best_first = sorted(refined, key=lambda result: _rank(sweep, result))
     starts = np.vstack([*(result.design for result in best_first if result.better), designs])
-    evolved = evolve_designs(problem, axes, starts, objective, sweep.constraints, sweep.seed)
-    improve = refine if evolved.feasible else restore_and_refine
-    result = improve(problem, sweep.axes, evolved.design, sweep.objectives, sweep.constraints)
+    evolved = evolve_designs(problem, axes, starts, objective, safe_bounds(sweep.constraints), sweep.seed)
+    result = _refine_design(sweep, problem, evolved.design, evolved.feasible, evolved.feasible)
     return result._replace(
         simulations=result.simulations + evolved.simulations, better=result.better or evolved.feasible
     )

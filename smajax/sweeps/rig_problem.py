@@ -63,7 +63,9 @@ class RigSweepProblem(AbstractSweepProblem):
         """Internal units by metric."""
         own = CHANNELS[self.plant.mechanism.coordinate].unit
         units = {n: BANDWIDTH.unit if n == "bandwidth" else METRICS[n].unit or own for n in self.metrics}
-        return units | {n: units[self.margins.metric_of(n)] for n in (self.margins.metrics if self.margins else ())}
+        if self.margins is None:
+            return units
+        return units | {n: units[self.margins.metric_of(n)] for n in self.margins.metrics}
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -163,7 +163,7 @@ class RigSubject:
             return
         control = CHANNELS[self.rig.plant.drive.control]
         upper = {axis.name: axis.upper for axis in axes}
-        top = sum(upper.get(f"{INPUT}{n}", getattr(self.source, n)) for n in ("offset", "amplitude"))
+        top = upper.get(f"{INPUT}offset", self.source.offset) + upper.get(f"{INPUT}amplitude", self.source.amplitude)
         if f"{INPUT}offset" in upper and top > control.plausible_range[1]:
             raise InputError(
                 f"parameters.{INPUT}offset and the amplitude that is added to it reach {top:g} {control.unit}, above "
