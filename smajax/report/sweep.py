@@ -8,7 +8,7 @@ import numpy as np
 
 from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
-from smajax.report.shown_values import format_parameter, format_value, shown_unit
+from smajax.report.shown_values import format_in_unit, format_parameter, format_value, shown_unit
 from smajax.report.summary import table
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
 from smajax.sweeps.sobol import is_resolved
@@ -59,12 +59,16 @@ def _limit_words(doc: Mapping[str, Any]) -> str:
     if not (limits := doc.get("limits")):
         return ""
     words = [
-        f"{name} at most {format_value(entry['at_most'], doc['metrics'][name]['unit'])}"
+        f"{name} at most {_limit_value(name, entry['at_most'], doc['metrics'][name]['unit'])}"
         + (f" for {entry['cycles']:,.0f} cycles" if entry["cycles"] else "")
         for name, entry in limits.items()
     ]
     name = next(iter(limits.values()))["parameter_set"]
     return f' Limits of the material hold ({name}): {", ".join(words)}; limits = "none" turns them off.'
+
+
+def _limit_value(name: str, value: float, unit: str) -> str:
+    return format_in_unit(value, unit, "%") if name == "strain_range" else format_value(value, unit)
 
 
 def _margin_words(doc: Mapping[str, Any]) -> str:
