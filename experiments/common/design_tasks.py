@@ -66,6 +66,7 @@ class DesignTask(NamedTuple):
 [sweep]
 rig = "rig.toml"
 designs = {designs}
+limits = "flexinol"
 sensitivity = false
 [parameters]
 {self.axes}

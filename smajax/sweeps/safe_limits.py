@@ -1,6 +1,6 @@
 """Safe limits of the material as constraints of a sweep, and the choice of their parameter set."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,14 +46,15 @@ class SafeLimit(NamedTuple):
         return f"{self.metric} at most {shown}" + (f" for {self.cycles:,.0f} cycles" if self.cycles else "")
 
 
-def choose_limits(name: str | None, rig: Rig, folder: Path) -> MaterialLimits | None:
+def choose_limits(name: str | None, rig: Rig, folder: Path, catalogues: Sequence[str] = ()) -> MaterialLimits | None:
     """Return the limits of the material of a rig.
 
     Args:
         name: ``sweep.limits``: the name or path of a parameter set, ``none``, or ``None`` for the default: the set that
-            the rig names, if it has limits, else ``DEFAULT_SET``.
+            the rig names or that of a catalogue, the first that has limits, else ``DEFAULT_SET``.
         rig: The rig.
         folder: Folder from which a path starts.
+        catalogues: Names of the parameter sets whose catalogues the axes name.
 
     Returns:
         The limits; ``None`` if they are turned off.
@@ -71,8 +72,10 @@ def choose_limits(name: str | None, rig: Rig, folder: Path) -> MaterialLimits | 
                 f'"{DEFAULT_SET}", or write limits = "{NO_LIMITS}"'
             )
         return limits
-    if rig.parameter_set is not None and (limits := read_limits(rig.parameter_set[1], rig.parameter_set[0])):
-        return limits
+    named = [rig.parameter_set] if rig.parameter_set is not None else []
+    for own, path in [*named, *((catalogue, find_set(catalogue, folder)) for catalogue in catalogues)]:
+        if limits := read_limits(path, own):
+            return limits
     return read_limits(find_set(DEFAULT_SET), DEFAULT_SET)
 
 

@@ -115,13 +115,12 @@ class ExternalData:
 
 def _read_external(data: Mapping[str, Any], subject: Subject, folder: Path) -> ExternalData:
     """Read the files that a sweep names."""
-    head = _read_head(data)
-    limits = None
+    head, catalogues, limits = _read_head(data), read_catalogues(data, folder), None
     if isinstance(subject, RigSubject):
-        limits = choose_limits(head.limits, subject.rig, folder)
+        limits = choose_limits(head.limits, subject.rig, folder, tuple(catalogues))
     elif head.limits not in (None, NO_LIMITS):
         raise InputError("sweep.limits has no place with an actuator, whose metrics are its own: take it out")
-    return ExternalData(limits, read_catalogues(data, folder), read_margins(data, subject, folder))
+    return ExternalData(limits, catalogues, read_margins(data, subject, folder))
 
 
 def _rebuild_external(header: Mapping[str, Any]) -> ExternalData:

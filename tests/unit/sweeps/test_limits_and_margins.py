@@ -217,6 +217,7 @@ class TestCatalogue:
     def test_an_axis_of_stock_diameters(self, folder):
         axis = written(folder, self.TEXT).axes[0]
         assert axis.catalogue == "SmartFlex" and axis.values[0] == 25e-6 and axis.values[-1] == 0.5e-3
+        assert {limit.parameter_set for limit in read_sweep(folder / "sweep.toml").limits} == {"smartflex"}
         narrow = written(folder, self.TEXT.replace('"smartflex" }', '"smartflex", from = "0.1 mm", to = "0.3 mm" }'))
         assert [round(1e6 * value) for value in narrow.axes[0].values] == [100, 150, 200, 300]
 
@@ -234,14 +235,14 @@ class TestCatalogue:
 
     def test_refinement_finds_the_best_diameter(self, folder):
         """The best result has no larger energy than the refinements with each diameter alone."""
+        text = self.TEXT.replace("[sweep]", '[sweep]\nlimits = "flexinol"')
         (folder / "sweep.toml").write_text(
-            self.TEXT.replace('"smartflex" }', '"smartflex", from = "0.2 mm", to = "0.4 mm" }')
-            + "[refine]\nstarts = 1\n",
+            text.replace('"smartflex" }', '"smartflex", from = "0.2 mm", to = "0.4 mm" }') + "[refine]\nstarts = 1\n",
             "utf-8",
         )
         best = sweep(folder / "sweep.toml").refined[0]
         for diameter in ("0.2 mm", "0.3 mm", "0.4 mm"):
-            alone = self.TEXT.replace('{ catalogue = "smartflex" }', f'{{ values = ["{diameter}"] }}')
+            alone = text.replace('{ catalogue = "smartflex" }', f'{{ values = ["{diameter}"] }}')
             (folder / "sweep.toml").write_text(alone + "[refine]\nstarts = 1\n", "utf-8")
             energies = [e["metrics"]["energy_per_cycle"] for e in sweep(folder / "sweep.toml").refined if e["better"]]
             assert best["metrics"]["energy_per_cycle"] <= 1.001 * min(energies, default=math.inf)
