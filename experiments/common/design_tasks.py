@@ -186,7 +186,7 @@ TASKS = (
         f'stroke = {{ at_least = "30 deg" }}\n{_HOT}',
     ),
     DesignTask(
-        "20 degrees of a pulley at 0.3 Hz with a stock wire of +-2 % in diameter, lowest peak temperature",
+        "20 degrees of a pulley at 0.3 Hz with a stock wire of +-3 um in diameter, lowest peak temperature",
         "rotary",
         f"{_STOCK}\n{_PULLEY}\n{_CURRENT}",
         "0.3 Hz",
