@@ -4,12 +4,14 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text
 from smajax.api.study import FileContent, Study
-from smajax.errors import NumericsError
+from smajax.arguments import whole_number
+from smajax.errors import InputError, NumericsError
 from smajax.files.documents import finite_or_none
 from smajax.files.rig_file import Rig
 from smajax.plant.materials.dissipation import check_dissipation
@@ -20,6 +22,10 @@ from smajax.report.document_entries import recording_entry
 from smajax.simulation.physical_limits import without_impossible_rows
 from smajax.simulation.run import simulate
 from smajax.simulation.status import SimulationStatus
+from smajax.sweeps.metrics import metrics_of_cycles
+
+# Largest number of cycles of a recording, far above any that is recorded.
+_MAX_CYCLES = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -39,7 +45,12 @@ class PredictionStudy(Study):
 
 
 def predict(
-    rig: RigSource, recording: Any, *, drop_bad_rows: bool = False, progress: ProgressCallback | None = None
+    rig: RigSource,
+    recording: Any,
+    *,
+    cycles: int | None = None,
+    drop_bad_rows: bool = False,
+    progress: ProgressCallback | None = None,
 ) -> PredictionStudy:
     """Predict the response of a rig to the inputs of a recording, as ``smajax simulate`` does.
 
@@ -50,6 +61,7 @@ def predict(
     Args:
         rig: The rig, its file, or a dictionary with the sections of one.
         recording: The recording: a path, a table in memory, or a ``Recording``.
+        cycles: Number of equal cycles of the recording, for the metrics of a sweep over the last of them.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase.
 
@@ -64,8 +76,8 @@ def predict(
     with clock.time("read"):
         rig = as_rig(rig)
         text = rig_text(rig)
-        source = one_source(recording, "recording")
-        read = rig.read(source, drop_bad_rows=drop_bad_rows, observed=False)
+        read = rig.read(one_source(recording, "recording"), drop_bad_rows=drop_bad_rows, observed=False)
+        _check_cycles(cycles, read)
     reporter.phase("compiling and simulating")
     with clock.time("simulate"):
         result = simulate(rig.plant, read, interpolation=rig.interpolation, throw=False)
@@ -90,7 +102,30 @@ def predict(
         "recordings": [recording_entry(read, "simulation")],
         "warnings": check_dissipation(rig.plant, [channels]),
     }
+    run |= {"metrics": _metric_entries(rig, read, channels, cycles)} if cycles and not failure else {}
     return PredictionStudy(document=run, series=(series,), run=run, files=files, reason=failure, channels=channels)
+
+
+def _metric_entries(
+    rig: Rig, recording: Recording, channels: Mapping[str, np.ndarray], cycles: int
+) -> dict[str, dict[str, Any]]:
+    """Return the metrics of the last cycle by name."""
+    metrics = metrics_of_cycles(
+        rig.plant, jnp.asarray(recording.time), {c: jnp.asarray(v) for c, v in channels.items()}, cycles
+    )
+    return {n: {"value": finite_or_none(value), "unit": unit} for n, (value, unit) in metrics.items()}
+
+
+def _check_cycles(cycles: int | None, recording: Recording) -> None:
+    """Raises InputError if a recording does not consist of so many cycles, if a number is given."""
+    if cycles is None:
+        return
+    whole_number("predict", "cycles", cycles, 1, _MAX_CYCLES)
+    if not recording.has_clock:
+        raise InputError(f"cycles: {recording.name} has no time, and so no cycles: leave cycles out")
+    if len(recording) <= 2 * cycles:
+        rows = f"{recording.name} has {len(recording)} rows"
+        raise InputError(f"cycles = {cycles}: {rows}, too few for so many: give the number of its cycles")
 
 
 def _rows_before_failure(channels: Mapping[str, np.ndarray]) -> int:

@@ -39,7 +39,8 @@ from smajax.sweeps.chunks import (
     submit_locally,
 )
 from smajax.sweeps.compilation import check_memory
-from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.design_input import design_input, refined_files
+from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.refinement import RefinedDesign
 from smajax.sweeps.space import pick_and_freeze
 from smajax.sweeps.sweep_file import SweepFile, read_sweep
@@ -291,14 +292,13 @@ def _files(
         if name == TABLE or len(table["design"]):
             of_columns = {n: u for n, u in units.items() if n in table}
             files[name] = partial(write_table, columns=table, header=designs.header, units=of_columns)
-    for k, entry in enumerate(refined):
+    for k, entry in enumerate(refined, 1):
         if entry.better:
-            values = {
-                axis.name: float(v)
-                for axis, v in zip(sweep.axes, entry.design, strict=True)
-                if not axis.name.startswith(INPUT)
-            }
-            files[f"rig-refined-{k + 1}.toml"] = sweep.subject.to_toml(values).encode()
+            rig_name, input_name = refined_files(k)
+            content = design_input(sweep.subject, designs.problem, sweep.axes, entry.design)
+            files[rig_name] = content.rig.encode()
+            if content.recording is not None:
+                files[input_name] = content.recording.write
     return files
 
 

@@ -10,6 +10,7 @@
 
 A fit adds ``interval95``, ``free`` and ``at_bound``, a table ``[fit]`` with the origin of the values, and parameters
 that belong to one recording under ``[per_recording."NAME@RECORDING"]``. Writing and reading returns the same floats.
+``[limits]`` and ``[catalogue]`` are read by ``material_limits``.
 """
 
 import math
@@ -33,6 +34,8 @@ from smajax.recordings.datasets import data_path
 from smajax.units import as_text, parse_quantity
 
 SCHEMA = "smajax.parameters/1"
+# Tables that are no section of parameters.
+_HEADER_TABLES = ("fit", "limits", "catalogue")
 # Text of an infinite end of bounds or of an interval.
 _OPEN = "none"
 
@@ -136,7 +139,7 @@ def load_material(name: str | Path, model: str = "brinson", **values: float) -> 
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
-    """Read the header of a parameter set: ``title``, ``source``, and after a fit the table ``fit``.
+    """Read the header of a parameter set: ``title``, ``source``, after a fit ``fit``, and ``limits`` and ``catalogue``.
 
     Raises:
         InputError: If the file is missing or invalid; the message names file and key.
@@ -182,7 +185,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Entry]]:
     try:
         if data.pop("schema", None) != SCHEMA:
             raise InputError(f'this is not a parameter file: one begins with the line schema = "{SCHEMA}"')
-        header = {key: value for key, value in data.items() if key == "fit" or not isinstance(value, dict)}
+        header = {key: value for key, value in data.items() if key in _HEADER_TABLES or not isinstance(value, dict)}
         entries = {}
         for section, keys in data.items():
             for key, table in (keys if section not in header else {}).items():

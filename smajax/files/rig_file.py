@@ -16,6 +16,7 @@ from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
 from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
 from smajax.files.mappings import plain_tables
+from smajax.files.parameter_sets import find_set
 from smajax.files.recording_notes import with_notes
 from smajax.files.recording_settings import recording_options
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
@@ -66,6 +67,7 @@ class Rig:
         notes: Sentences on entries that were read and are not used.
         misplaced: Effects that do not apply to this rig and were omitted, with the reason.
         text: Text that the rig was read from; ``None`` for a rig that was built.
+        parameter_set: Name and path of the parameter set that the rig names; ``None`` if it names none.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Rig:
     misplaced: Mapping[str, str] = field(default_factory=dict)
     text: str | None = None
     recording: ReadOptions = field(default_factory=ReadOptions)
+    parameter_set: tuple[str, Path] | None = None
 
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {self.kind}, {self.fit.model}>"
@@ -278,6 +281,7 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
         sources=sources | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
         notes=tuple(_notes(parameter_set, {*table, *sensor_table}, settings)),
         misplaced=misplaced,
+        parameter_set=(parameter_set.name, find_set(parameter_set.name, folder)) if parameter_set.name else None,
     )
 
 

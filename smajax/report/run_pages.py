@@ -19,6 +19,7 @@ from smajax.report.pages import (
 from smajax.report.parameter_figures import correlation_picture, profile_picture
 from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import Series
+from smajax.report.shown_values import format_value
 from smajax.report.time_figures import time_picture
 from smajax.units import as_text
 
@@ -67,6 +68,9 @@ def simulation_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     others = [c for c in recording.model if c not in observed and c not in doc["inputs"]]
     sections = [verdict_section([doc["text"]], bad=True)] if doc["code"] != "done" else []
     sections.append(bullets(doc.get("warnings", ())))  # absent in documents of earlier versions
+    if metrics := doc.get("metrics"):
+        rows = [(n, format_value(e["value"], e["unit"])) for n, e in metrics.items()]
+        sections += ["<h2>Last cycle</h2>", table(("metric", "value"), rows, numbers=(1,))]
     sections += _recording_pictures(recording, observed, doc["inputs"], {}, pictures)
     if others:
         sections.append("<h2>The other channels</h2>")

@@ -11,6 +11,7 @@ from textwrap import wrap
 from typing import Any, NamedTuple
 
 from smajax.files.documents import is_undetermined
+from smajax.report.shown_values import format_value
 from smajax.units import example_of, from_si
 
 Document = Mapping[str, Any]
@@ -257,6 +258,9 @@ def simulation_text(run: Document, folder: str = "") -> str:
         for channel, entry in run["channels"].items()
     ]
     lines += table([("channel", "lowest", "highest", "unit"), *rows], right=(1, 2))
+    if metrics := run.get("metrics"):
+        lines += ["", "Last cycle:"]
+        lines += table([(n, format_value(e["value"], e["unit"])) for n, e in metrics.items()], right=(1,))
     lines += [
         "",
         *(f"- {recording['name']}: {note}." for note in recording["notes"]),

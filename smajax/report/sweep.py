@@ -6,57 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from smajax.files.documents import finite_or_none
 from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
+from smajax.report.shown_values import format_in_unit, format_parameter, format_value, shown_unit
 from smajax.report.summary import table
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
-from smajax.units import display_unit, from_si
+from smajax.sweeps.sobol import is_resolved
 
 # Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
-# Units that are shown unchanged, since no multiple of them is more usual.
-_UNSCALED_UNITS = ("1", "J", "Hz", "s", "degC", "K")
-
-
-def shown_unit(unit: str) -> str:
-    """Return the unit in which a value with an internal ``unit`` is shown."""
-    return unit if unit in _UNSCALED_UNITS else "deg" if unit == "rad" else display_unit(unit)
-
-
-def metric_entry(value: float) -> float | str | None:
-    """Return a metric as JSON can store it: ``"inf"`` and ``"-inf"`` for infinities, ``None`` for NaN."""
-    return str(float(value)) if np.isinf(value) else finite_or_none(value)
-
-
-def format_value(value: float | str | None, unit: str) -> str:
-    """Format a value of the document in its shown unit.
-
-    Args:
-        value: The value in its internal unit, as ``metric_entry`` returns it.
-        unit: Its internal unit.
-
-    Returns:
-        The number with its unit; ``-`` for ``None``.
-    """
-    if value is None:
-        return "-"
-    if np.isinf(float(value)):
-        return "infinite" if float(value) > 0.0 else "minus infinite"
-    size = float(from_si(float(value), shown_unit(unit), unit)) if shown_unit(unit) != unit else float(value)
-    return f"{size:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
-
-
-def format_in_unit(value: float, unit: str, written: str) -> str:
-    """Format a value in the unit of a file.
-
-    Args:
-        value: The value in its internal unit; may be infinite.
-        unit: Its internal unit.
-        written: The unit of the file.
-    """
-    size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
-    return f"{size:.4g}" + ("" if written == "1" else f" {written}")
 
 
 def sweep_summary(doc: Mapping[str, Any]) -> str:
@@ -78,7 +36,49 @@ def sweep_summary(doc: Mapping[str, Any]) -> str:
     elif any(entry["better"] for entry in doc["refined"]):
         words += _restoration_words(doc)
     words += "." + _constant_objectives_words(doc) + _unsettled_words(doc.get("settling", {}))
-    return words + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
+    words += _excluding_words(doc) + _limit_words(doc) + _margin_words(doc)
+    words += " But " + "; ".join(doc["problems"]) + "." if doc["problems"] else ""
+    return words + (f" To buy: {doc['purchase']}." if doc.get("purchase") else "")
+
+
+def _excluding_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the constraint that rules out most designs."""
+    counts = {n: entry["excludes"] for n, entry in doc["constraints"].items() if entry.get("excludes")}
+    if not counts:
+        return ""
+    name = max(counts, key=lambda n: counts[n])
+    alone = doc["constraints"][name]["excludes_alone"]
+    words = f" Of {doc['codes'].get('done', 0):,} simulated designs {name} rules out most, {counts[name]:,}"
+    words += f" ({alone:,} of them satisfy all others)" if len(doc["constraints"]) > 1 else ""
+    second = sorted(counts, key=lambda n: counts[n])[-2:-1]
+    return words + (f"; {second[0]} rules out {counts[second[0]]:,}." if second else ".")
+
+
+def _limit_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the limits of the material that hold."""
+    if not (limits := doc.get("limits")):
+        return ""
+    words = [
+        f"{name} at most {_limit_value(name, entry['at_most'], doc['metrics'][name]['unit'])}"
+        + (f" for {entry['cycles']:,.0f} cycles" if entry["cycles"] else "")
+        for name, entry in limits.items()
+    ]
+    name = next(iter(limits.values()))["parameter_set"]
+    return f' Limits of the material hold ({name}): {", ".join(words)}; limits = "none" turns them off.'
+
+
+def _limit_value(name: str, value: float, unit: str) -> str:
+    return format_in_unit(value, unit, "%") if name == "strain_range" else format_value(value, unit)
+
+
+def _margin_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about the margins of the constraints."""
+    if not (margins := doc.get("margins")):
+        return ""
+    units = margins.get("units", {})
+    words = [f"{name} +- {format_value(width, units.get(name, '1'))}" for name, width in margins["vary"].items()]
+    words += [f"the 95 % intervals of the fit {margins['fit']}"] if margins["fit"] else []
+    return f" The constraints hold for {' and '.join(words)} (columns lowest_ and highest_)."
 
 
 def _refinement_words(doc: Mapping[str, Any], name: str, goal: str, best: Mapping[str, Any]) -> str:
@@ -142,7 +142,7 @@ def _rows(doc: Mapping[str, Any], entries: Sequence[tuple[str, Mapping[str, Any]
     return [
         (
             label,
-            *(format_value(row["parameters"][n], p["unit"]) for n, p in doc["parameters"].items()),
+            *(format_parameter(row["parameters"][n], p) for n, p in doc["parameters"].items()),
             *(format_value(row["metrics"][n], m["unit"]) for n, m in doc["metrics"].items()),
         )
         for label, row in entries
@@ -177,6 +177,9 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
     if columns := best_columns(doc):
         lines += [*table(columns, right=tuple(range(1, len(columns[0])))), ""]
     place = [f"Table, report and refined rigs in {folder}"] if folder else []
+    command = next((entry["command"] for entry in doc["refined"] if entry.get("command")), "")
+    if folder and command:
+        place.append(f"To see the figures of refined 1 again: cd {folder}, then {command}")
     return "\n".join([*lines, doc["summary"], *place])
 
 
@@ -197,12 +200,34 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
     if best := best_columns(doc):
         numbers = tuple(range(1, len(best[0])))
         sections += ["<h2>The best designs</h2>", pages.table(best[0], best[1:], numbers=numbers)]
+        sections += [f"<p><code>{escape(e['command'])}</code></p>" for e in doc["refined"] if e.get("command")][:1]
+    sections += _constraint_section(doc)
     sections += _design_pictures(doc, columns, pictures)
     sections += _sensitivity_section(doc, pictures)
     sections += ["<h2>Ranges</h2>", pages.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
     sections += pages.provenance_sections(run, rig)
     lead = f"{doc['designs']:,} designs, sampled by {doc['sampling']}."
     return pages.render_page(f"Sweep of {doc['rig']}", lead, sections, pictures)
+
+
+def _constraint_section(doc: Mapping[str, Any]) -> list[str]:
+    """Table of the constraints, with the designs that they rule out and the sources of the material's limits."""
+    if not doc["constraints"]:
+        return []
+    rows = []
+    for name, entry in doc["constraints"].items():
+        unit, limit = doc["metrics"][name]["unit"], _limit_of(doc, name, entry)
+        ends = [format_value(entry[key], unit) for key in ("at_least", "at_most")]
+        counts = ["-" if entry.get(key) is None else f"{entry[key]:,}" for key in ("excludes", "excludes_alone")]
+        rows.append((name, *ends, *counts, limit))
+    head = ("metric", "at least", "at most", "rules out", "it alone", "limit of the material")
+    return ["<h2>Constraints</h2>", pages.table(head, rows, numbers=(1, 2, 3, 4))]
+
+
+def _limit_of(doc: Mapping[str, Any], name: str, entry: Mapping[str, Any]) -> str:
+    """Source of a constraint that is a limit of the material; empty for others, such as a stricter one of the file."""
+    limit = (doc.get("limits") or {}).get(name.removeprefix("highest_"))
+    return limit["source"] if limit and limit["at_most"] == entry["at_most"] else ""
 
 
 def _design_pictures(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], pictures: list[Picture]) -> list[str]:
@@ -255,7 +280,7 @@ def _sensitivity_section(doc: Mapping[str, Any], pictures: list[Picture]) -> lis
         head = ("metric", "parameter", "first order", "95 %", "total", "95 %")
         sections.append("<h2>Sensitivity</h2>")
         sections.append(pages.add_picture(sweep_plots.sensitivity_picture(doc["sensitivity"]), pictures))
-        sections.append(pages.table(head, _index_rows(doc), numbers=(2, 3, 4, 5)))
+        sections.append(pages.table(head, index_rows(doc), numbers=(2, 3, 4, 5)))
     if notes := doc.get("sensitivity_notes"):
         sections.append(f"<p>{escape(' '.join(notes))}</p>")
     return sections
@@ -265,7 +290,12 @@ def _bound(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
 
 
-def _index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of the table of Sobol indices; an index outside of 0 to 1 is not shown.
+
+    Args:
+        doc: The document sweep.json.
+    """
     rows = []
     for metric, indices in doc["sensitivity"].items():
         for name, index in indices.items():
@@ -275,15 +305,14 @@ def _index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _format_index(value: Any) -> str:
+    """Format an index, or its interval, of which the part from 0 to 1 is shown; ``-`` for what no index can be."""
     if isinstance(value, list):
-        return " .. ".join("-" if v is None else f"{v:.2f}" for v in value)
-    return "-" if value is None else f"{value:.2f}"
+        return " .. ".join("-" if v is None else f"{min(max(v, 0.0), 1.0):.2f}" for v in value)
+    return f"{abs(value):.2f}" if is_resolved(value) else "-"
 
 
 def _range_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    rows = [
-        (n, format_value(e["from"], e["unit"]), format_value(e["to"], e["unit"])) for n, e in doc["parameters"].items()
-    ]
+    rows = [(n, format_parameter(e["from"], e), format_parameter(e["to"], e)) for n, e in doc["parameters"].items()]
     return rows + [
         (n, format_value(e["lowest"], e["unit"]), format_value(e["highest"], e["unit"]))
         for n, e in doc["metrics"].items()

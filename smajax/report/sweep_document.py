@@ -8,13 +8,15 @@ import numpy as np
 from smajax import __version__
 from smajax.files.documents import finite_or_none
 from smajax.report.documents.sweep import SweepDocument
-from smajax.report.sweep import format_in_unit, format_value, metric_entry, sweep_summary
+from smajax.report.shown_values import format_in_unit, format_value, metric_entry
+from smajax.report.sweep import sweep_summary
 from smajax.sweeps.best_designs import BestDesigns
+from smajax.sweeps.design_input import show_command, what_to_buy
 from smajax.sweeps.metrics import SETTLED_GAP
 from smajax.sweeps.pareto import constraint_violation, thin_front
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.refinement import RefinedDesign
-from smajax.sweeps.sobol import complete_rows, missing_reason, sobol_indices
+from smajax.sweeps.sobol import complete_rows, missing_reason, sobol_indices, unresolved_indices
 from smajax.sweeps.sweep_file import SweepFile
 
 # Approximate number of designs of the front in the document: enough for a plot; the table has all.
@@ -55,20 +57,28 @@ def sweep_document(
         "parameters": _axis_entries(sweep),
         "metrics": {n: {"unit": unit, **_span(columns[n])} for n, unit in problem.units.items()},
         "objectives": dict(sweep.objectives),
-        "constraints": {
-            n: {"at_least": finite_or_none(low), "at_most": finite_or_none(high)}
-            for n, (low, high) in sweep.constraints.items()
+        "constraints": _constraint_entries(sweep, columns),
+        "limits": {
+            limit.metric: {
+                "at_most": limit.value,
+                "cycles": limit.cycles,
+                "parameter_set": limit.parameter_set,
+                "source": limit.source,
+            }
+            for limit in sweep.limits
         },
+        **_margin_entry(sweep),
         "front": [_design_entry(sweep, problem, columns, k) for k in front[thin_front(best.costs[front], _MAX_FRONT)]],
         "on_front": len(front),
         "settling": _settling(columns, front, refined),
         "sensitivity": sensitivity,
         "sensitivity_notes": notes,
-        "refined": [_refined_entry(sweep, design) for design in refined],
+        "refined": [_refined_entry(sweep, design, k) for k, design in enumerate(refined, 1)],
         "problems": _problems(sweep, columns, keeps, refined),
         "seed": sweep.seed,
         "smajax": __version__,
     }
+    document["purchase"] = _purchase(sweep, document)
     return SweepDocument.check(document | {"summary": sweep_summary(document)})
 
 
@@ -92,9 +102,51 @@ def _axis_entries(sweep: SweepFile) -> dict[str, Any]:
             "to": axis.upper,
             "scale": "log" if axis.log else "even",
             "values": list(axis.values),
+            **({"labels": list(axis.labels)} if axis.labels else {}),
+            **({"catalogue": axis.catalogue} if axis.catalogue else {}),
         }
         for axis in sweep.axes
     }
+
+
+def _constraint_entries(sweep: SweepFile, columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the constraints, with the numbers of simulated designs that violate them."""
+    done = columns["code"] == "done"
+    violated = {n: done & ~((columns[n] >= low) & (columns[n] <= high)) for n, (low, high) in sweep.constraints.items()}
+    count = sum((mask.astype(int) for mask in violated.values()), np.zeros(len(done), int))
+    return {
+        n: {
+            "at_least": finite_or_none(low),
+            "at_most": finite_or_none(high),
+            "excludes": int(violated[n].sum()),
+            "excludes_alone": int((violated[n] & (count == 1)).sum()),
+        }
+        for n, (low, high) in sweep.constraints.items()
+    }
+
+
+def _margin_entry(sweep: SweepFile) -> dict[str, Any]:
+    """Return the entry of the margins; empty without them."""
+    margins = sweep.margins
+    if margins is None:
+        return {}
+    widths = np.max(np.abs(margins.corners), axis=0) if margins.corners else np.zeros(len(margins.names))
+    vary = {n: float(width) for n, width in zip(margins.names, widths, strict=True) if width > 0.0}
+    declared = {n: sweep.subject.declarations[n].unit for n in vary}
+    units = {n: "K" if unit == "degC" else unit for n, unit in declared.items()}
+    return {"margins": {"metrics": list(margins.metrics), "vary": vary, "units": units, "fit": margins.fit}}
+
+
+def _purchase(sweep: SweepFile, document: Mapping[str, Any]) -> str:
+    """Return what to buy for the design that is best in the first objective, refined or sampled; empty for none."""
+    if not sweep.objectives:
+        return ""
+    name, goal = next(iter(sweep.objectives.items()))
+    rows = [*(entry for entry in document["refined"] if entry["better"]), *document["front"]]
+    if not rows:
+        return ""
+    best = (max if goal == "max" else min)(rows, key=lambda row: float(row["metrics"][name]))
+    return what_to_buy(sweep.subject, sweep.axes, best["parameters"])
 
 
 def _span(values: np.ndarray) -> dict[str, Any]:
@@ -115,7 +167,8 @@ def _design_entry(
     }
 
 
-def _refined_entry(sweep: SweepFile, refined: RefinedDesign) -> dict[str, Any]:
+def _refined_entry(sweep: SweepFile, refined: RefinedDesign, number: int) -> dict[str, Any]:
+    command = show_command(sweep.subject, number)
     return {
         "parameters": {axis.name: float(v) for axis, v in zip(sweep.axes, refined.design, strict=True)},
         "before": {n: metric_entry(v) for n, v in refined.before.items()},
@@ -123,6 +176,7 @@ def _refined_entry(sweep: SweepFile, refined: RefinedDesign) -> dict[str, Any]:
         "simulations": refined.simulations,
         "better": refined.better,
         "rescued": refined.restored,
+        **({"command": command} if refined.better and command else {}),
     }
 
 
@@ -151,7 +205,7 @@ def _violated(sweep: SweepFile, metrics: Mapping[str, float]) -> list[str]:
     words = []
     for name, (low, high) in sweep.constraints.items():
         if not low <= metrics[name] <= high:
-            unit, written = sweep.subject.units[name], sweep.constraint_units[name]
+            unit, written = sweep.problem().units[name], sweep.constraint_units[name]
             bounds = [(key, bound) for key, bound in (("at least", low), ("at most", high)) if np.isfinite(bound)]
             allowed = " and ".join(f"{key} {format_in_unit(bound, unit, written)}" for key, bound in bounds)
             words.append(f"{name} {format_in_unit(metrics[name], unit, written)} (allowed: {allowed})")
@@ -190,7 +244,12 @@ def _sensitivity(
         indices = sobol_indices(values, problem.names, sweep.seed)
         if reason := missing_reason(values, axes):
             notes.append(f"No Sobol indices of {name}: {reason}.")
-        elif missing := int(np.sum(~complete_rows(values, axes)) - failed.sum()):
+        elif outside := unresolved_indices(indices):
+            notes.append(
+                f"Not shown of {name}: {', '.join(outside)}, which lie outside of 0 to 1, where no index can be: "
+                "the estimates from so few designs are too rough, and more designs make them precise."
+            )
+        if not reason and (missing := int(np.sum(~complete_rows(values, axes)) - failed.sum())):
             notes.append(f"Those of {name} leave out {missing:,} more rows, in which it has no value.")
         entries[name] = {
             axis: {key: _numbers(value) for key, value in index._asdict().items()} for axis, index in indices.items()

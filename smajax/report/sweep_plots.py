@@ -10,11 +10,19 @@ import numpy as np
 import plotly.graph_objects as go
 
 from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, round_for_json
+from smajax.sweeps.sobol import is_resolved
 from smajax.units import from_si
 
 # Largest number of points, and of lines, of each kind in a figure: more would make it slow to draw; chosen by trial.
 _MAX_POINTS = 4000
 _MAX_LINES = 150
+# Room around useful designs in a figure, as a share of their range, its least range as a share of their size, and the
+# share of designs on each side that may lie outside where none is useful; chosen by trial.
+_AXIS_ROOM = 0.5
+_LEAST_ROOM = 0.1
+_OUTER_SHARE = 0.02
+# Rounding error of a scaled value, which must not remove a line at the end of an axis.
+_HEIGHT_ROUNDING = 1e-9
 _REFINED_COLOUR = "#22272e"
 # Heights of the figures in pixels; the matrix of indices has so many per metric, and a frame.
 _TRADE_OFF_HEIGHT = 480
@@ -42,12 +50,14 @@ def trade_off_picture(
     layout = base_layout()
     data: list[go.Scatter] = []
     x, y = (_in_shown_unit(columns[name], unit, shown) for name, unit, shown in axes)
+    ranges = [_useful_range(values, feasible, front) for values in (x, y)]
+    near = np.all([(v >= low) & (v <= high) for v, (low, high) in zip((x, y), ranges, strict=True)], axis=0)
     groups = [
         ("violates a constraint", ~feasible, MEASURED, 0.5),
         ("satisfies all constraints", feasible, RESIDUAL, 0.9),
     ]
     for name, chosen, colour, opacity in groups:
-        rows = _evenly_chosen(np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y)), _MAX_POINTS)
+        rows = _evenly_chosen(np.flatnonzero(chosen & near), _MAX_POINTS)
         if len(rows):
             marker = {"color": colour, "size": 5, "opacity": opacity}
             data.append(_points(name, x[rows], y[rows], marker, columns["design"][rows]))
@@ -70,6 +80,9 @@ def trade_off_picture(
     )
     if not (np.isfinite(x[feasible]).all() and np.isfinite(y[feasible]).all()):
         caption += " Designs with an infinite or missing metric are left out."
+    if far := int(np.sum(np.isfinite(x) & np.isfinite(y) & ~near)):
+        lie = "design lies" if far == 1 else "designs lie"
+        caption += f" {far:,} {lie} far from those that satisfy all constraints, outside of the figure."
     return Picture("Trade-off", caption, go.Figure(data, layout), _TRADE_OFF_HEIGHT)
 
 
@@ -89,8 +102,11 @@ def parallel_picture(
     """
     layout = base_layout()
     heights, marks = [], []
+    # Only designs that are drawn determine the ends of the axes.
+    drawn = feasible if feasible.any() else np.ones(len(feasible), bool)
     for k, (name, unit, shown, log) in enumerate(axes):
-        height, (low, high) = _axis_heights(_in_shown_unit(columns[name], unit, shown), log)
+        shown_values = _in_shown_unit(columns[name], unit, shown)
+        height, (low, high) = _axis_heights(shown_values, log, drawn)
         heights.append(height)
         for end, place, anchor in ((low, -0.02, "top"), (high, 1.02, "bottom")):
             mark = {"x": k, "y": place, "text": f"{end:.3g}", "showarrow": False, "yanchor": anchor}
@@ -112,15 +128,34 @@ def parallel_picture(
     layout["yaxis"] = {"visible": False, "range": [-0.12, 1.12], "fixedrange": True}
     layout.annotations, layout.showlegend = marks, True
     caption = (
-        "Each line is a design, each vertical line an axis from its lowest to its highest value; "
+        "Each line is a design, each vertical line an axis from the lowest to the highest value of these designs; "
         f"up to {_MAX_LINES} designs of each colour."
     )
     return Picture("Designs across all axes", caption, go.Figure(data, layout), _PARALLEL_HEIGHT)
 
 
-def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[float, float]]:
-    """Values of an axis scaled to [0, 1], and the ends of the axis."""
-    finite = values[np.isfinite(values)]
+def _useful_range(values: np.ndarray, feasible: np.ndarray, front: np.ndarray) -> tuple[float, float]:
+    """Range of the values of useful designs, widened by half of itself on both sides.
+
+    Useful designs are the feasible ones; without any, all but the outermost ``_OUTER_SHARE`` on each side.
+    """
+    finite = values[feasible & np.isfinite(values)]
+    if len(finite):
+        low, high = float(finite.min()), float(finite.max())
+    else:
+        finite = values[np.isfinite(values)]
+        if not len(finite):
+            return 0.0, 1.0
+        low, high = (float(end) for end in np.quantile(finite, [_OUTER_SHARE, 1.0 - _OUTER_SHARE]))
+    room = _AXIS_ROOM * max(high - low, _LEAST_ROOM * max(abs(low), abs(high)))
+    return low - room, high + room
+
+
+def _axis_heights(values: np.ndarray, log: bool, drawn: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
+    """Values of an axis scaled to [0, 1], and the ends of the axis, those of the designs that are drawn."""
+    finite = values[drawn & np.isfinite(values)]
+    if len(finite) and np.all(drawn):
+        finite = np.clip(finite, *np.quantile(finite, [_OUTER_SHARE, 1.0 - _OUTER_SHARE]))
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if log and 0 < low < high:
         return np.log(values / low) / np.log(high / low), (low, high)
@@ -129,7 +164,7 @@ def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[floa
 
 def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) -> list[go.Scatter]:
     """Lines of designs by kind; designs that violate a constraint are drawn only if none is feasible."""
-    finite = np.all(np.isfinite(heights), axis=1)
+    finite = np.all((heights >= -_HEIGHT_ROUNDING) & (heights <= 1.0 + _HEIGHT_ROUNDING), axis=1)
     infeasible_rows = _evenly_chosen(np.flatnonzero(~feasible & finite), 0 if feasible.any() else _MAX_LINES)
     feasible_rows = _evenly_chosen(np.flatnonzero(feasible & finite), _MAX_LINES)
     best = _evenly_chosen(front[finite[front]], _MAX_LINES) if len(front) else front
@@ -159,7 +194,7 @@ def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]
     layout = base_layout()
     layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -25}
     layout["yaxis"] = {"autorange": "reversed", "automargin": True}
-    z = [[sensitivity[metric][name]["total"] for name in names] for metric in metrics]
+    z = [[_resolved(sensitivity[metric][name]["total"]) for name in names] for metric in metrics]
     trace = go.Heatmap(
         x=[escape(n) for n in names],
         y=metrics,
@@ -167,7 +202,7 @@ def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]
         zmin=0,
         zmax=1,
         colorscale=[[0, "#ffffff"], [1, "#c8501e"]],
-        text=[["-" if v is None else f"{v:.2f}" for v in row] for row in z],
+        text=[["-" if v is None else f"{abs(v):.2f}" for v in row] for row in z],
         texttemplate="%{text}",
         hovertemplate="%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
         colorbar={"thickness": 12, "outlinewidth": 0},
@@ -175,6 +210,10 @@ def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]
     caption = "Total Sobol indices: the share of a metric's variance that would vanish if the parameter were fixed."
     height = _CELL_PIXELS * len(metrics) + _MATRIX_FRAME_PIXELS
     return Picture("Sensitivity", caption, go.Figure([trace], layout), height)
+
+
+def _resolved(value: float | None) -> float | None:
+    return value if is_resolved(value) else None
 
 
 def _in_shown_unit(values: np.ndarray, unit: str, shown: str) -> np.ndarray:

@@ -2,23 +2,30 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, Field
 
 from smajax import parameters
 from smajax.errors import InputError
+from smajax.files.material_limits import Catalogue, read_catalogue
+from smajax.files.parameter_sets import find_set
 from smajax.files.renamed_keys import current_name
-from smajax.files.toml import STRICT, advice, show, validate
+from smajax.files.toml import STRICT, advice, quantity_at, show, validate
 from smajax.files.validators import one_of, quantity
 from smajax.parameters.checks import ORDERED_PAIRS, Declaration
+from smajax.sweeps.excitation import SHAPES
+from smajax.sweeps.problem import INPUT
 from smajax.sweeps.space import DEFAULT_POINTS, Axis
 from smajax.sweeps.subject import Subject
 from smajax.units import as_text
 
 SCALES = ("even", "log")
 # Keys that distinguish the table of a range from a section of parameters.
-_RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points"))
+_RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points", "catalogue"))
+# Axis whose values are names of shapes.
+_WAVE = f"{INPUT}wave"
 
 
 class _Range(BaseModel):
@@ -28,15 +35,22 @@ class _Range(BaseModel):
     scale: Annotated[str, one_of(SCALES)] = "even"
     points: int = Field(DEFAULT_POINTS, ge=2, le=100_000, examples=["5"])
     values: list[Any] | None = Field(None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'])
+    catalogue: str | None = Field(None, examples=['"flexinol"'])
 
 
-def read_axes(data: Mapping[str, Any], declarations: Mapping[str, Declaration], sampling: str) -> tuple[Axis, ...]:
+def read_axes(
+    data: Mapping[str, Any],
+    declarations: Mapping[str, Declaration],
+    sampling: str,
+    catalogues: Mapping[str, Catalogue],
+) -> tuple[Axis, ...]:
     """Read the axes of a sweep.
 
     Args:
         data: Data of the sweep file.
         declarations: Parameters that can vary, by name; names of earlier versions are read as the current ones.
         sampling: ``grid``, ``latin-hypercube`` or ``sobol``.
+        catalogues: Catalogues that the axes name, by name; see ``read_catalogues``.
 
     Returns:
         The axes in the order of the file, in internal units.
@@ -53,12 +67,15 @@ def read_axes(data: Mapping[str, Any], declarations: Mapping[str, Declaration], 
     for name, value in ((current_name(name), value) for name, value in _flatten(section)):
         if any(axis.name == name for axis in axes):
             raise InputError(f'parameters.{name} is given twice, as {name} and as "{name}": take one of the two out')
+        if name == _WAVE and f"{INPUT}frequency" in declarations:
+            axes.append(_read_waves(value))
+            continue
         if name not in declarations:
             raise InputError(
                 f"parameters.{name} is not a parameter of this rig{advice(name, declarations, 'its parameters are')}"
             )
         try:
-            axes.append(_read_axis(name, value, declarations[name]))
+            axes.append(_read_axis(name, value, declarations[name], catalogues))
         except InputError as error:
             raise InputError(f"parameters.{name}: {error}") from None
         if sampling != "grid" and isinstance(value, dict) and "points" in value:
@@ -80,13 +97,64 @@ def _flatten(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, An
     return entries
 
 
-def _read_axis(name: str, value: Any, declaration: Declaration) -> Axis:
+def catalogue_names(data: Mapping[str, Any]) -> list[str]:
+    """Return the names of the catalogues that the section names.
+
+    Args:
+        data: Data of the sweep file.
+    """
+    section = data.get("parameters")
+    entries = _flatten(section) if isinstance(section, dict) else []
+    return [v["catalogue"] for _, v in entries if isinstance(v, dict) and isinstance(v.get("catalogue"), str)]
+
+
+def read_catalogues(data: Mapping[str, Any], folder: Path) -> dict[str, Catalogue]:
+    """Read the catalogues that the section names.
+
+    Args:
+        data: Data of the sweep file.
+        folder: Folder from which paths of parameter sets start.
+
+    Returns:
+        Catalogues by their names in the file.
+
+    Raises:
+        InputError: If a parameter set is not known, or has no catalogue.
+    """
+    catalogues = {}
+    for name in catalogue_names(data):
+        catalogue = read_catalogue(find_set(name, folder, "parameters: catalogue "), name)
+        if catalogue is None:
+            raise InputError(
+                f"parameters: parameter set {name} has no section [catalogue]: name another one, such as flexinol or "
+                "smartflex, or list values"
+            )
+        catalogues[name] = catalogue
+    return catalogues
+
+
+def _read_waves(value: Any) -> Axis:
+    """The axis of shapes of the input."""
+    settings = validate(_Range, value, _WAVE) if isinstance(value, dict) else None
+    names = settings.values if settings is not None else None
+    if not names:
+        raise InputError(f'parameters.{_WAVE} = {show(value)} is not a list: write {{ values = ["square", "sine"] }}')
+    for name in names:
+        if name not in SHAPES:
+            raise InputError(f"parameters.{_WAVE}: {show(name)} is not known: choose {', '.join(SHAPES)}")
+    labels = tuple(dict.fromkeys(names))
+    return Axis(_WAVE, "1", 0.0, len(labels) - 1.0, values=tuple(map(float, range(len(labels)))), labels=labels)
+
+
+def _read_axis(name: str, value: Any, declaration: Declaration, catalogues: Mapping[str, Catalogue]) -> Axis:
     if isinstance(value, list):
         if len(value) != 2:
             raise InputError(f'{show(value)} is not a range: write ["low", "high"], or {{ values = [...] }} for a list')
         settings = _Range.model_validate({"from": value[0], "to": value[1]})
     elif isinstance(value, dict):
         settings = validate(_Range, value, name)
+        if settings.catalogue is not None:
+            return _catalogue_axis(name, value, catalogues[settings.catalogue])
     else:
         raise InputError(
             f'{show(value)} is not a range: write ["low", "high"], or {{ from = "low", to = "high", scale = "log" }}'
@@ -95,6 +163,22 @@ def _read_axis(name: str, value: Any, declaration: Declaration) -> Axis:
         extra = [key for key in ("scale", "points") if isinstance(value, dict) and key in value]
         return _listed_axis(name, settings, extra, declaration)
     return _ranged_axis(name, settings, declaration)
+
+
+def _catalogue_axis(name: str, value: Mapping[str, Any], catalogue: Catalogue) -> Axis:
+    """The axis of the stock diameters of a catalogue between ``from`` and ``to``, if these are given."""
+    if name != "wire.diameter":
+        raise InputError("a catalogue has diameters of wires: only wire.diameter takes one")
+    if extra := [key for key in ("scale", "points", "values") if key in value]:
+        raise InputError(f"{extra[0]} has no place next to catalogue: take one of the two out")
+    ends = [
+        quantity_at(value[key], "m", key) if key in value else otherwise
+        for key, otherwise in (("from", 0.0), ("to", math.inf))
+    ]
+    sizes = tuple(size for size in catalogue.diameters if ends[0] <= size <= ends[1])
+    if not sizes:
+        raise InputError(f"no diameter of {catalogue.wire} is in this range: widen it")
+    return Axis(name, "m", min(sizes), max(sizes), values=sizes, catalogue=catalogue.wire)
 
 
 def _listed_axis(name: str, settings: _Range, extra_keys: Sequence[str], declaration: Declaration) -> Axis:

@@ -11,10 +11,29 @@ from smajax.sweeps.evaluation import DesignEvaluator
 # Distance from a bound, relative to it, that a search keeps, so that its result does not violate the bound by rounding.
 # Chosen by trial; tests/unit/sweeps/test_sweeps.py checks that refined designs satisfy their limits.
 MARGIN = 1e-6
+# Error of a metric by the time steps, relative to a bound, that a refined design has room for: several times the
+# largest one that experiments/speed/design_tasks.py prints against the exact simulator.
+STEP_ERROR = 5e-4
 # Replaces an infinite distance or cost, which SLSQP cannot handle; scaled distances and costs are near 1.
 INFINITE = 1e6
 # Smallest scale of a bound, as a share of the metric's size at the start; for bounds near 0.
 _MIN_SCALE = 1e-3
+
+
+def safe_bounds(limits: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Return limits with a distance for the error of the time steps, within which a refined design is to lie.
+
+    Args:
+        limits: Lower and upper bound by metric, in internal units.
+    """
+    bounds = {}
+    for name, (low, high) in limits.items():
+        inner = (
+            low + STEP_ERROR * abs(low) if np.isfinite(low) else low,
+            high - STEP_ERROR * abs(high) if np.isfinite(high) else high,
+        )
+        bounds[name] = inner if inner[0] <= inner[1] else (low, high)
+    return bounds
 
 
 def as_constraints(

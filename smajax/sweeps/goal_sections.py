@@ -1,13 +1,14 @@
 """The sections ``[objectives]`` and ``[constraints]`` of a SWEEP.toml, and the check of its metrics."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel, Field
 
 from smajax.errors import InputError
 from smajax.files.toml import STRICT, advice, quantity_at, show, validate
+from smajax.sweeps.margins import HIGHEST, LOWEST
 from smajax.sweeps.space import Axis
 from smajax.sweeps.subject import METRIC_NAMES, Subject
 from smajax.units import unit_of
@@ -15,6 +16,8 @@ from smajax.units import unit_of
 GOALS = ("max", "min")
 # Upper bounds of metrics by their definition: work is at most the energy, and a gap at most the range.
 _UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
+# Units in which limits of the material are shown where the file has no constraint on the metric.
+_LIMIT_UNITS = {"peak_stress": "MPa", "peak_temperature": "degC", "strain_range": "%"}
 
 
 class _Limit(BaseModel):
@@ -132,9 +135,14 @@ def _check_possible(
         )
 
 
-def constraint_units(data: Mapping[str, Any]) -> dict[str, str]:
-    """Return the unit in which the file gives each constraint, by metric; of two bounds that of the lower one."""
-    return {
-        name: unit_of(limit.get("at_least", limit.get("at_most")))
-        for name, limit in data.get("constraints", {}).items()
-    }
+def constraint_units(data: Mapping[str, Any], constraints: Iterable[str]) -> dict[str, str]:
+    """Return the unit in which each constraint is shown: that in the file, of two bounds that of the lower one.
+
+    Args:
+        data: Data of the sweep file.
+        constraints: Names of the metrics that have a constraint, with margin or without.
+    """
+    section = data.get("constraints", {})
+    written = {name: unit_of(limit.get("at_least", limit.get("at_most"))) for name, limit in section.items()}
+    plain = {name: name.removeprefix(LOWEST).removeprefix(HIGHEST) for name in constraints}
+    return {name: written.get(metric) or _LIMIT_UNITS.get(metric, "1") for name, metric in plain.items()}

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.channels import numbered
+from smajax.channels import CHANNELS, numbered
 from smajax.numerics.nonsmooth import largest, maximum, peak_to_peak
 from smajax.plant.plant import Plant
 
@@ -25,6 +26,8 @@ SETTLED_GAP = 0.01
 # would be rounding. Chosen by trial; test_bandwidth_of_a_rig_against_dense_frequencies checks the first.
 _MOTIONLESS_STRAIN = 1e-7
 _EVEN_TEMPERATURE = 1e-3
+# Rounding error of a recording's times, relative to a cycle.
+_TIME_TOLERANCE = 1e-9
 
 
 class Response(NamedTuple):
@@ -75,6 +78,50 @@ class Metric(NamedTuple):
     read: Callable[[Response], jax.Array]
 
 
+def response_of(plant: Plant, time: jax.Array, channels: Channels) -> Response:
+    """Return the response of a plant.
+
+    Args:
+        plant: The plant.
+        time: Time in s, shape ``(n,)``.
+        channels: Channels by name in SI units and degC, shape ``(n,)`` each.
+    """
+    mechanism = plant.mechanism
+    return Response(
+        time,
+        channels,
+        mechanism.coordinate,
+        mechanism.wires,
+        plant.wire.motion_per_strain,
+        plant.environment.ambient,
+        mechanism.parallel_wires,
+    )
+
+
+def metrics_of_cycles(plant: Plant, time: jax.Array, channels: Channels, cycles: int) -> dict[str, tuple[float, str]]:
+    """Return the metrics of a response of several equal cycles.
+
+    Args:
+        plant: The plant.
+        time: Time in s, shape ``(n,)``.
+        channels: All channels by name in SI units and degC, shape ``(n,)`` each.
+        cycles: Number of cycles; the last one determines the metrics of a cycle.
+
+    Returns:
+        Value and internal unit by name; without those that need a rest after the last cycle.
+    """
+    response = response_of(plant, time, channels)
+    length = float(time[-1] - time[0]) / cycles
+    last = int(np.searchsorted(np.asarray(time), float(time[-1]) - length * (1.0 + _TIME_TOLERANCE)))
+    parts = {"cycle": response.cut(slice(last, len(time))), "all": response}
+    own = CHANNELS[plant.mechanism.coordinate].unit
+    return {
+        name: (float(metric.read(parts[metric.part])), metric.unit or own)
+        for name, metric in METRICS.items()
+        if metric.part in parts
+    }
+
+
 def motionless_stroke(plant: Plant) -> Float[Array, ""]:
     """Return the stroke of a plant, m or rad, up to which its wires count as motionless."""
     return _MOTIONLESS_STRAIN * jnp.abs(plant.wire.motion_per_strain)
@@ -98,6 +145,11 @@ def peak_stress(whole: Response) -> Float[Array, ""]:
 def peak_temperature(whole: Response) -> Float[Array, ""]:
     """Return the highest temperature of a wire, degC."""
     return largest(whole.of("temperature"))
+
+
+def strain_range(cycle: Response) -> Float[Array, ""]:
+    """Return the largest minus the smallest strain of a wire."""
+    return largest(jnp.stack([peak_to_peak(strain) for strain in cycle.of("strain")]))
 
 
 def energy_per_cycle(cycle: Response) -> Float[Array, ""]:
@@ -164,6 +216,9 @@ METRICS: Mapping[str, Metric] = {
     "force": Metric("N", "largest tension in a wire", "all", ("force",), force),
     "peak_stress": Metric("Pa", "largest stress in a wire", "all", ("stress",), peak_stress),
     "peak_temperature": Metric("degC", "highest temperature of a wire", "all", ("temperature",), peak_temperature),
+    "strain_range": Metric(
+        "1", "largest minus smallest strain of a wire in a cycle", "cycle", ("strain",), strain_range
+    ),
     "energy_per_cycle": Metric("J", "electrical energy of a cycle", "cycle", ("power",), energy_per_cycle),
     "work_per_cycle": Metric(
         "J", "work of the wires while they shorten, in a cycle", "cycle", ("force", "strain"), work_per_cycle

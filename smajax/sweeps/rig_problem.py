@@ -21,7 +21,8 @@ from smajax.simulation.status import SimulationStatus
 from smajax.simulation.step_size import resolving_step, time_constant_bounds
 from smajax.sweeps.bandwidth import FrequencyPoint, find_bandwidth
 from smajax.sweeps.excitation import Excitation, GridParts, discretise_excitation, grid_parts
-from smajax.sweeps.metrics import BANDWIDTH, METRICS, Response, motionless_stroke, settling
+from smajax.sweeps.margins import Margins, evaluate_with_margins
+from smajax.sweeps.metrics import BANDWIDTH, METRICS, Response, motionless_stroke, response_of, settling
 from smajax.sweeps.problem import INPUT, AbstractSweepProblem
 
 # Smallest number of steps of a cycle, so that the input and the extremes of a slow wire are resolved. Chosen by trial;
@@ -46,6 +47,7 @@ class RigSweepProblem(AbstractSweepProblem):
         cycles: Number of cycles of the input.
         interpolation: Interpolation of a recording between its rows, ``hold`` or ``linear``.
         max_frequency: Frequency in Hz up to which a bandwidth is searched for.
+        margins: Deviations of parameters, with which each design is simulated as well; ``None`` for none.
     """
 
     plant: Plant
@@ -54,12 +56,16 @@ class RigSweepProblem(AbstractSweepProblem):
     cycles: int = eqx.field(static=True)
     interpolation: str = eqx.field(static=True)
     max_frequency: float = eqx.field(static=True)
+    margins: Margins | None = eqx.field(static=True, default=None)
 
     @property
     def units(self) -> dict[str, str]:
         """Internal units by metric."""
         own = CHANNELS[self.plant.mechanism.coordinate].unit
-        return {n: BANDWIDTH.unit if n == "bandwidth" else METRICS[n].unit or own for n in self.metrics}
+        units = {n: BANDWIDTH.unit if n == "bandwidth" else METRICS[n].unit or own for n in self.metrics}
+        if self.margins is None:
+            return units
+        return units | {n: units[self.margins.metric_of(n)] for n in self.margins.metrics}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -71,6 +77,7 @@ class RigSweepProblem(AbstractSweepProblem):
     def numbers(self, steps: int) -> int:
         """Return about how many numbers one design stores: channels at all steps; a bandwidth adds three runs."""
         runs = 1 + (3 if "bandwidth" in self.metrics else 0)
+        runs *= len(self.margins.deviations) if self.margins else 1
         return runs * (self.cycles + 1) * steps * (len(self.channels) + 2 * len(self.plant.signals))
 
     def size_message(self, steps: int) -> str:
@@ -111,8 +118,20 @@ class RigSweepProblem(AbstractSweepProblem):
     def evaluate(
         self, design: Float[Array, " axes"], steps: int, differentiable: bool = False
     ) -> tuple[dict[str, jax.Array], Int[Array, ""]]:
-        """Simulate the rig with one design, and read the metrics from its response."""
-        plant, values = self._apply(design)
+        """Simulate the rig with one design, and read the metrics from its response, with margins if there are any."""
+        return evaluate_with_margins(
+            self.margins, lambda deviations: self._evaluate(design, steps, differentiable, deviations)
+        )
+
+    def _evaluate(
+        self,
+        design: Float[Array, " axes"],
+        steps: int,
+        differentiable: bool,
+        deviations: Mapping[str, Float[Array, ""]],
+    ) -> tuple[dict[str, jax.Array], Int[Array, ""]]:
+        """The metrics of a design with deviations of some parameters, and the number of the status."""
+        plant, values = self._apply(design, deviations)
         wires = plant.mechanism.wires
         with_rest = "time_to_cool" in self.metrics
         if isinstance(self.source, Excitation):
@@ -132,13 +151,23 @@ class RigSweepProblem(AbstractSweepProblem):
                 metrics["settling"] = jnp.maximum(metrics["settling"], gap)
         return {n: jnp.where(code == SimulationStatus.done, metrics[n], jnp.nan) for n in self.metrics}, code
 
-    def _apply(self, design: Float[Array, " axes"]) -> tuple[Plant, dict[str, jax.Array]]:
-        """The plant of a design, and its values of the input by key."""
+    def _apply(
+        self, design: Float[Array, " axes"], deviations: Mapping[str, Float[Array, ""]] | None = None
+    ) -> tuple[Plant, dict[str, jax.Array]]:
+        """The plant of a design with deviations of some parameters, and its values of the input by key."""
         values = {n: design[k] for k, n in enumerate(self.names)}
+        for name, deviation in (deviations or {}).items():
+            values[name] = (values[name] if name in values else self._nominal(name)) + deviation
         own = {n: v for n, v in values.items() if not n.startswith(INPUT)}
         return parameters.replace(self.plant, own), {
             n[len(INPUT) :]: v for n, v in values.items() if n.startswith(INPUT)
         }
+
+    def _nominal(self, name: str) -> jax.Array:
+        """The value of a parameter of the rig or the input that does not vary."""
+        if name.startswith(INPUT):
+            return jnp.asarray(getattr(self.source, name[len(INPUT) :]), jnp.float64)
+        return jnp.asarray(parameters.get(self.plant, name))
 
     def _period(self, values: Mapping[str, jax.Array]) -> Float[Array, ""]:
         if isinstance(self.source, Excitation):
@@ -154,17 +183,7 @@ class RigSweepProblem(AbstractSweepProblem):
         return inputs, GridParts(slice(last, len(recording)), slice(0, 0))
 
     def _response(self, plant: Plant, inputs: Inputs, channels: dict[str, jax.Array]) -> Response:
-        mechanism = plant.mechanism
-        time, motion = inputs.time[inputs.sample_indices], plant.wire.motion_per_strain
-        return Response(
-            time,
-            channels,
-            mechanism.coordinate,
-            mechanism.wires,
-            motion,
-            plant.environment.ambient,
-            mechanism.parallel_wires,
-        )
+        return response_of(plant, inputs.time[inputs.sample_indices], channels)
 
     def _bandwidth(
         self, plant: Plant, values: Mapping[str, jax.Array], steps: int, differentiable: bool

@@ -16,6 +16,8 @@ _RESAMPLES = 500
 _MIN_ROWS = 32
 # Range of a metric, relative to its size, that counts as rounding error: some thousand units in the last place.
 _CONSTANT = 1e-12
+# Distance outside of 0 to 1 that is shown as 0.00 or 1.00 by two decimals.
+_ROUNDING = 0.005
 
 
 class SobolIndex(NamedTuple):
@@ -62,6 +64,29 @@ def sobol_indices(values: Float[np.ndarray, " rows"], names: Sequence[str], seed
         n: SobolIndex(float(estimates[0, k]), interval(0, k), float(estimates[1, k]), interval(1, k))
         for k, n in enumerate(names)
     }
+
+
+def is_resolved(value: float | None) -> bool:
+    """Return whether an estimate of an index is one that an index can have, from 0 to 1.
+
+    Args:
+        value: The estimate; ``None`` for none.
+    """
+    return value is not None and -_ROUNDING <= value <= 1.0 + _ROUNDING
+
+
+def unresolved_indices(indices: Mapping[str, SobolIndex]) -> list[str]:
+    """Return the indices whose estimates lie outside of 0 to 1, in words.
+
+    Args:
+        indices: Indices by axis.
+    """
+    return [
+        f"the {kind} index of {name} ({value:.2f})"
+        for name, index in indices.items()
+        for kind, value in (("first-order", index.first), ("total", index.total))
+        if not is_resolved(value)
+    ]
 
 
 def complete_rows(values: Float[np.ndarray, " rows"], axes: int) -> Bool[np.ndarray, " base"]:

@@ -29,6 +29,8 @@ class Axis:
         points: Number of points on a grid, with both ends.
         values: Listed values, which replace the range.
         whole: Whether the parameter is a whole number; then both ends are whole numbers.
+        labels: Names of the listed values, which are then their indices; empty for numbers.
+        catalogue: Name of the wire whose stock diameters the listed values are; empty for other axes.
     """
 
     name: str
@@ -39,6 +41,8 @@ class Axis:
     points: int = DEFAULT_POINTS
     values: tuple[float, ...] = ()
     whole: bool = False
+    labels: tuple[str, ...] = ()
+    catalogue: str = ""
 
     def at(self, share: Float[np.ndarray, " designs"]) -> Float[np.ndarray, " designs"]:
         """Return the values at shares of the axis.

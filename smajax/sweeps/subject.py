@@ -2,26 +2,34 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
-from smajax.channels import CHANNELS, numbered
+from smajax.channels import CHANNELS
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.rig_file import Rig, parse_rig
-from smajax.files.toml import STRICT, quantity_at, read_text, show, validate
-from smajax.files.validators import one_of
+from smajax.files.toml import quantity_at, read_text, show
 from smajax.parameters.checks import Declaration
 from smajax.plant.mechanisms.rotary import MasslessRotary
 from smajax.recordings.recording import Recording
 from smajax.sweeps.actuator_problem import ActuatorSweepProblem
-from smajax.sweeps.excitation import SHAPES, Excitation
+from smajax.sweeps.excitation import Excitation
+from smajax.sweeps.input_section import (
+    MAX_FREQUENCY,
+    MIN_FREQUENCY,
+    InputSection,
+    check_duties,
+    check_input_recording,
+    read_excitation,
+    read_input,
+)
+from smajax.sweeps.margins import Margins
 from smajax.sweeps.metrics import METRICS
 from smajax.sweeps.problem import INPUT, AbstractSweepProblem
 from smajax.sweeps.rig_problem import RigSweepProblem
@@ -33,22 +41,6 @@ _DEFAULT_METRICS = ("stroke", "force", "peak_temperature", "energy_per_cycle", "
 # Metrics that need a periodic input.
 _NEEDS_WAVE = ("time_to_cool", "bandwidth")
 _ABSOLUTE_ZERO = -273.15
-# Range of an input's frequency in Hz, far wider than any that a wire can follow.
-_MIN_FREQUENCY = 1e-6
-_MAX_FREQUENCY = 1e4
-_DEFAULT_DUTY = 0.5
-_DEFAULT_CYCLES = 4
-
-
-class _Input(BaseModel):
-    model_config = STRICT
-    shape: Annotated[str, one_of(SHAPES)] | None = Field(None, alias="wave", examples=['"square"'])
-    amplitude: Any = Field(None, examples=['"0.4 A"'])
-    frequency: Any = Field(None, examples=['"0.1 Hz"'])
-    highest: Any = Field(default=None, examples=['"10 Hz"'])
-    duty: Any = Field(None, examples=["0.5"])
-    cycles: int | None = Field(None, ge=1, le=10_000, examples=["4"])
-    recording: str | None = Field(None, examples=['"input.csv"'])
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +71,8 @@ class RigSubject:
 
     @property
     def required_metrics(self) -> tuple[str, ...]:
-        """Metrics of every sweep."""
-        return ("settling",)
+        """Metrics of every sweep: what a wire bears must be seen, asked for or not."""
+        return ("peak_stress", "settling")
 
     @property
     def declarations(self) -> dict[str, Declaration]:
@@ -92,9 +84,12 @@ class RigSubject:
             table[f"{INPUT}amplitude"] = Declaration(
                 CHANNELS[control].unit, f"amplitude of the {control}", 0.0, largest, None
             )
-            table[f"{INPUT}frequency"] = Declaration(
-                "Hz", "frequency of the wave", _MIN_FREQUENCY, _MAX_FREQUENCY, None
+            table[f"{INPUT}frequency"] = Declaration("Hz", "frequency of the wave", MIN_FREQUENCY, MAX_FREQUENCY, None)
+            table[f"{INPUT}offset"] = Declaration(
+                CHANNELS[control].unit, f"{control} to which the wave is added", 0.0, largest, None
             )
+            if "square" in self.source.all_shapes:
+                table[f"{INPUT}duty"] = Declaration("1", "share of a cycle that is on", 0.0, 1.0, None)
         return table
 
     @property
@@ -140,6 +135,12 @@ class RigSubject:
             raise InputError(
                 f"parameters.{INPUT}amplitude is 0 throughout, and nothing else heats a wire: give values above 0"
             )
+        varied = {axis.name for axis in axes}
+        if f"{INPUT}wave" in varied and "time_to_cool" in metrics:
+            raise InputError(
+                f"time_to_cool begins at the end of the heating, which differs with {INPUT}wave: take one of them out"
+            )
+        self._check_largest_input(axes)
         if not isinstance(self.source, Excitation) and (only := [n for n in _NEEDS_WAVE if n in metrics]):
             raise InputError(
                 f"{only[0]} needs a wave, and [input] has a recording: take the metric out, or give a wave"
@@ -156,18 +157,58 @@ class RigSubject:
                 f"{top:g} Hz: raise it, or narrow the range"
             )
 
-    def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
+    def _check_largest_input(self, axes: Sequence[Axis]) -> None:
+        """Raises InputError if offset and amplitude together exceed what an input can be."""
+        if not isinstance(self.source, Excitation):
+            return
+        control = CHANNELS[self.rig.plant.drive.control]
+        upper = {axis.name: axis.upper for axis in axes}
+        top = upper.get(f"{INPUT}offset", self.source.offset) + upper.get(f"{INPUT}amplitude", self.source.amplitude)
+        if f"{INPUT}offset" in upper and top > control.plausible_range[1]:
+            raise InputError(
+                f"parameters.{INPUT}offset and the amplitude that is added to it reach {top:g} {control.unit}, above "
+                f"{control.plausible_range[1]:g}: narrow one of the ranges".replace(" 1,", ",")
+            )
+
+    def problem(
+        self, axes: tuple[str, ...], metrics: tuple[str, ...], margins: Margins | None = None
+    ) -> AbstractSweepProblem:
         """Return the map from a design to its metrics.
 
         Args:
             axes: Names of the axes, in the order of a design's values.
             metrics: Names of the metrics to evaluate.
+            margins: Margins of constraints; ``None`` for none.
         """
-        return self._problem(axes, metrics, self.max_frequency)
+        return self._problem(axes, metrics, self.max_frequency, margins)
 
-    def _problem(self, axes: tuple[str, ...], metrics: tuple[str, ...], max_frequency: float) -> RigSweepProblem:
+    def _problem(
+        self, axes: tuple[str, ...], metrics: tuple[str, ...], max_frequency: float, margins: Margins | None = None
+    ) -> RigSweepProblem:
         rig = self.rig
-        return RigSweepProblem(axes, rig.plant, metrics, self.source, self.cycles, rig.interpolation, max_frequency)
+        return RigSweepProblem(
+            axes, rig.plant, metrics, self.source, self.cycles, rig.interpolation, max_frequency, margins
+        )
+
+    def with_axes(self, axes: Sequence[Axis]) -> "RigSubject":
+        """Return the subject whose input has the duties and shapes of the axes.
+
+        Args:
+            axes: Axes of the space.
+
+        Raises:
+            InputError: If a range of the duty contains the phase of another edge of the input.
+        """
+        source = self.source
+        if not isinstance(source, Excitation):
+            return self
+        by_name = {axis.name: axis for axis in axes}
+        if shapes := by_name.get(f"{INPUT}wave"):
+            source = replace(source, shapes=shapes.labels)
+        if duty := by_name.get(f"{INPUT}duty"):
+            check_duties(duty, source, self.rig.plant.mechanism.wires)
+            source = replace(source, duties=(duty.lower, duty.upper))
+        return replace(self, source=source)
 
     def value(self, name: str) -> float:
         """Return the value of a parameter in the rig file, in its internal unit."""
@@ -226,7 +267,13 @@ class ActuatorSubject:
     def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
         """Accept all axes and metrics."""
 
-    def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
+    def with_axes(self, axes: Sequence[Axis]) -> "ActuatorSubject":
+        """Return the actuator, which has no input."""
+        return self
+
+    def problem(
+        self, axes: tuple[str, ...], metrics: tuple[str, ...], margins: Margins | None = None
+    ) -> AbstractSweepProblem:
         """Return the map from a design to its metrics; arguments as for ``RigSubject.problem``."""
         return ActuatorSweepProblem(axes, self.actuator, metrics)
 
@@ -261,7 +308,7 @@ def read_subject(path: Path, data: Mapping[str, Any], folder: Path) -> Subject:
     if actuator_file.is_actuator(text):
         return _actuator_subject(text, str(path), path.name, data)
     rig = parse_rig(text, str(path), path.parent)
-    settings = _read_input(data)
+    settings = read_input(data)
     recording = rig.read(folder / settings.recording, observed=False) if settings.recording is not None else None
     return _rig_subject(rig, settings, recording)
 
@@ -287,7 +334,7 @@ def rebuild_subject(
         document = recording_document
         channels = {n: np.array(v) for n, v in document["channels"].items()}
         recording = Recording.from_arrays(document["name"], np.array(document["time"]), channels, document["units"])
-    return _rig_subject(parse_rig(text, name), _read_input(data), recording)
+    return _rig_subject(parse_rig(text, name), read_input(data), recording)
 
 
 def _actuator_subject(text: str, place: str, name: str, data: Mapping[str, Any]) -> ActuatorSubject:
@@ -297,23 +344,16 @@ def _actuator_subject(text: str, place: str, name: str, data: Mapping[str, Any])
     return ActuatorSubject(name, actuator)
 
 
-def _read_input(data: Mapping[str, Any]) -> _Input:
-    if "input" not in data:
-        lines = 'wave = "square", amplitude = "0.4 A" and frequency = "0.1 Hz"'
-        raise InputError(f"the section [input] is missing: add [input] with lines like {lines}, or with a recording")
-    return validate(_Input, data["input"], "input")
-
-
-def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> RigSubject:
+def _rig_subject(rig: Rig, settings: InputSection, recording: Recording | None) -> RigSubject:
     if rig.kind == "path":
         raise InputError("sweep.rig is a stress path, which has no time: sweep a rig that runs in time")
     if recording is not None:
-        _check_recording(rig, settings, recording)
+        check_input_recording(rig, settings, recording)
         return RigSubject(rig, recording, settings.cycles or 1, 0.0)
     control = rig.plant.drive.control
     if followed := [name for name in rig.plant.signals if not control or name in rig.plant.mechanism.prescribed]:
         raise InputError(f"[input] needs a recording, since this rig follows its {followed[0]}: add recording = ...")
-    excitation = _read_excitation(rig, settings)
+    excitation = read_excitation(rig, settings)
     max_frequency = 0.0
     if settings.highest is not None:
         max_frequency = quantity_at(settings.highest, "Hz", "input.highest")
@@ -321,46 +361,3 @@ def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> Rig
             ends = f"input.highest = {show(settings.highest)} is not above input.frequency = {show(settings.frequency)}"
             raise InputError(f"{ends}: correct one of the two")
     return RigSubject(rig, excitation, excitation.cycles, max_frequency)
-
-
-def _check_recording(rig: Rig, settings: _Input, recording: Recording) -> None:
-    """Raises InputError if there are keys of a wave next to a recording, or if the recording heats no wire."""
-    names = ("wave", "amplitude", "frequency", "duty", "highest")
-    values = (settings.shape, settings.amplitude, settings.frequency, settings.duty, settings.highest)
-    if extra := [name for name, value in zip(names, values, strict=True) if value is not None]:
-        raise InputError(f"input.{extra[0]} has no place next to input.recording: take one of the two out")
-    control = rig.plant.drive.control
-    heating = numbered(control, rig.plant.mechanism.wires) if control else ()
-    if heating and not any(np.any(recording.channels[n]) for n in heating):
-        raise InputError(
-            f"input.recording: {' and '.join(heating)} is 0 throughout, so that no wire is heated: name another one"
-        )
-
-
-def _read_excitation(rig: Rig, settings: _Input) -> Excitation:
-    for key, field in (("wave", "shape"), ("amplitude", "amplitude"), ("frequency", "frequency")):
-        if getattr(settings, field) is None:
-            examples = _Input.model_fields[field].examples
-            raise InputError(
-                f"input.{key} is missing: add a line like {key} = {examples[0] if examples else ''} to [input], "
-                "or a recording"
-            )
-    control = CHANNELS[rig.plant.drive.control]
-    amplitude = quantity_at(settings.amplitude, control.unit, "input.amplitude")
-    frequency = quantity_at(settings.frequency, "Hz", "input.frequency")
-    duty = _DEFAULT_DUTY if settings.duty is None else quantity_at(settings.duty, "1", "input.duty")
-    if not 0.0 < amplitude <= control.plausible_range[1]:
-        allowed = f"above 0, up to {control.plausible_range[1]:g} {control.unit}".removesuffix(" 1")
-        raise InputError(
-            f"input.amplitude = {show(settings.amplitude)} is not possible: give one {allowed}, since nothing else "
-            "heats a wire"
-        )
-    if not 0.0 < frequency <= _MAX_FREQUENCY:
-        raise InputError(
-            f"input.frequency = {show(settings.frequency)} is not possible: give one above 0, up to 10 kHz"
-        )
-    if not 0.0 < duty < 1.0:
-        raise InputError(
-            f"input.duty = {show(settings.duty)} is not possible: give the share of a cycle that is on, between 0 and 1"
-        )
-    return Excitation(str(settings.shape), amplitude, frequency, duty, settings.cycles or _DEFAULT_CYCLES)

@@ -15,11 +15,14 @@
     stroke = "max"
     [constraints]
     peak_temperature = { at_most = "120 degC" }
+    [margins]
+    vary = { "environment.ambient" = "3 K" }
 
-A rig starts cold, and the metrics of a cycle are those of the last one. Every table has the column ``settling``: the
-gap between start and end of the last cycle over its range. It is 0 for a periodic response, and a design with at most
-1 % has settled. The summary counts the designs that have not; they stay in the table, and the constraint
-``settling = { at_most = "1 %" }`` excludes them from the best designs.
+Limits of the material hold in addition (``safe_limits``): ``limits`` under [sweep] names their parameter set, ``life``
+the number of cycles. A rig starts cold, and the metrics of a cycle are those of the last one. Every table has the
+column ``settling``: the gap between start and end of the last cycle over its range. It is 0 for a periodic response,
+and a design with at most 1 % has settled. The summary counts the designs that have not; they stay in the table, and the
+constraint ``settling = { at_most = "1 %" }`` excludes them from the best designs.
 
 An error message is one sentence that names file and key. A sweep's ``header`` holds everything that the sweep depends
 on; ``from_header`` reproduces the sweep.
@@ -27,7 +30,7 @@ on; ``from_header`` reproduces the sweep.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,18 +41,30 @@ from pydantic import BaseModel, Field
 from smajax import __version__
 from smajax.arguments import MAX_SEED
 from smajax.errors import InputError
+from smajax.files.material_limits import Catalogue, MaterialLimits
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, validate
 from smajax.files.validators import one_of
 from smajax.files.versions import package_versions
-from smajax.sweeps.axis_sections import check_order, read_axes
+from smajax.sweeps.axis_sections import check_order, read_axes, read_catalogues
 from smajax.sweeps.chunks import DEFAULT_CHUNK
 from smajax.sweeps.goal_sections import check_metrics, constraint_units, read_constraints, read_objectives
+from smajax.sweeps.margin_section import read_margins, with_margins
+from smajax.sweeps.margins import Margins, margins_from_document
 from smajax.sweeps.problem import AbstractSweepProblem
+from smajax.sweeps.safe_limits import (
+    DEFAULT_LIFE,
+    NO_LIMITS,
+    SafeLimit,
+    choose_limits,
+    rebuild_limits,
+    safe_limits,
+    with_safe_limits,
+)
 from smajax.sweeps.space import SAMPLINGS, Axis, draw_designs
-from smajax.sweeps.subject import Subject, read_subject, rebuild_subject
+from smajax.sweeps.subject import RigSubject, Subject, read_subject, rebuild_subject
 from smajax.sweeps.table import read_header
 
-_SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraints", "refine")
+_SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraints", "margins", "refine")
 # Largest number of designs: a table of so many still fits into the memory of a computer.
 _MAX_DESIGNS = 100_000_000
 # Smallest number of rows of A and B for Sobol indices: with fewer the intervals are as wide as the indices.
@@ -66,11 +81,55 @@ class _Sweep(BaseModel):
     metrics: list[str] | None = Field(None, examples=['["stroke", "efficiency"]'])
     gradients: bool = Field(False, examples=["true"])
     sensitivity: bool | None = Field(None, examples=["false"])
+    limits: str | None = Field(None, examples=['"none"'])
+    life: float = Field(DEFAULT_LIFE, gt=0.0, examples=["1_000_000"])
 
 
 class _Refine(BaseModel):
     model_config = STRICT
     starts: int = Field(3, ge=1, le=1000, examples=["3"])
+
+
+@dataclass(frozen=True)
+class ExternalData:
+    """What a sweep takes from files other than those of the rig and the recording.
+
+    Attributes:
+        limits: Limits of the material; ``None`` for none.
+        catalogues: Catalogues that the axes name, by name.
+        margins: Deviations of the margins, without metrics; ``None`` for none.
+    """
+
+    limits: MaterialLimits | None = None
+    catalogues: Mapping[str, Catalogue] = field(default_factory=dict)
+    margins: Margins | None = None
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the data as JSON documents by key, for ``rebuild_external``."""
+        return {
+            "limits": self.limits.to_document() if self.limits else None,
+            "catalogues": {n: asdict(catalogue) for n, catalogue in self.catalogues.items()},
+            "margins": self.margins.to_document() if self.margins else None,
+        }
+
+
+def _read_external(data: Mapping[str, Any], subject: Subject, folder: Path) -> ExternalData:
+    """Read the files that a sweep names."""
+    head, catalogues, limits = _read_head(data), read_catalogues(data, folder), None
+    if isinstance(subject, RigSubject):
+        limits = choose_limits(head.limits, subject.rig, folder, tuple(catalogues))
+    elif head.limits not in (None, NO_LIMITS):
+        raise InputError("sweep.limits has no place with an actuator, whose metrics are its own: take it out")
+    return ExternalData(limits, catalogues, read_margins(data, subject, folder))
+
+
+def _rebuild_external(header: Mapping[str, Any]) -> ExternalData:
+    """Return the external data of a header; a header of an earlier version has none."""
+    catalogues = {
+        n: Catalogue(**{**entry, "diameters": tuple(entry["diameters"])})
+        for n, entry in header.get("catalogues", {}).items()
+    }
+    return ExternalData(rebuild_limits(header.get("limits")), catalogues, margins_from_document(header.get("margins")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +149,13 @@ class SweepFile:
         gradients: Whether the table has the metrics' derivatives.
         sensitivity: Whether Sobol indices are estimated.
         objectives: ``max`` or ``min`` by metric.
-        constraints: Lower and upper bound by metric.
+        constraints: Lower and upper bound by metric, limits of the material included; with margins, of the metrics with
+            margin.
         constraint_units: Unit of each constraint in the file, by metric.
         refine_starts: Number of best designs that are refined; 0 for none.
+        external: What the sweep takes from other files.
+        limits: Limits of the material that hold.
+        margins: Margins of the constraints; ``None`` for none.
     """
 
     name: str
@@ -110,6 +173,9 @@ class SweepFile:
     constraints: Mapping[str, tuple[float, float]]
     constraint_units: Mapping[str, str]
     refine_starts: int
+    external: ExternalData
+    limits: tuple[SafeLimit, ...]
+    margins: Margins | None
 
     def designs(self) -> Float[np.ndarray, "designs axes"]:
         """Return the designs, shape ``(m, axes)``."""
@@ -117,7 +183,7 @@ class SweepFile:
 
     def problem(self) -> AbstractSweepProblem:
         """Return the map from a design to its metrics."""
-        return self.subject.problem(tuple(axis.name for axis in self.axes), self.metrics)
+        return self.subject.problem(tuple(axis.name for axis in self.axes), self.metrics, self.margins)
 
     def sobol_base(self) -> int:
         """Return the number of rows of A and B for Sobol indices, a power of two; 0 for no indices.
@@ -152,6 +218,7 @@ class SweepFile:
             "rig": self.subject.to_toml(),
             "rig_name": self.subject.name,
             "recording": self.subject.recording_document(),
+            **self.external.to_document(),
         }
 
 
@@ -175,7 +242,8 @@ def read_sweep(path: str | Path) -> SweepFile:
     data = parse_toml(text, str(path))
     try:
         subject = read_subject(path.parent / _read_head(data).rig, data, path.parent)
-        return _read_sweep(data, path.name, text, subject)
+        external = _read_external(data, subject, path.parent)
+        return _read_sweep(data, path.name, text, subject, external)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -191,7 +259,7 @@ def from_header(header: Mapping[str, Any]) -> SweepFile:
     """
     data = parse_toml(header["sweep"], header["name"])
     subject = rebuild_subject(header["rig"], data, header["rig_name"], header["recording"])
-    return _read_sweep(data, header["name"], header["sweep"], subject)
+    return _read_sweep(data, header["name"], header["sweep"], subject, _rebuild_external(header))
 
 
 def _read_head(data: Mapping[str, Any]) -> _Sweep:
@@ -205,16 +273,22 @@ def _read_head(data: Mapping[str, Any]) -> _Sweep:
     return validate(_Sweep, data["sweep"], "sweep")
 
 
-def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> SweepFile:
+def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject, external: ExternalData) -> SweepFile:
     head = _read_head(data)
-    axes = read_axes(data, subject.declarations, head.sampling)
+    axes = read_axes(data, subject.declarations, head.sampling, external.catalogues)
+    subject = subject.with_axes(axes)
     count = _count_designs(data, head, axes)
     objectives, constraints = read_objectives(data, subject.units), read_constraints(data, subject, axes)
+    limits = safe_limits(external.limits, head.life, subject.units)
+    constraints = with_safe_limits(constraints, limits)
     chosen = subject.default_metrics
     if head.metrics is not None:
         chosen = check_metrics("sweep.metrics", head.metrics, subject.units)
     metrics = tuple(dict.fromkeys([*chosen, *objectives, *constraints, *subject.required_metrics]))
     subject.check(axes, metrics)
+    margins = None
+    if external.margins is not None:
+        margins, constraints = with_margins(external.margins, data, constraints)
     sensitivity = _read_sensitivity(head, axes, count)
     if "refine" in data and not objectives:
         raise InputError('[refine] needs an objective: add [objectives] with a line like stroke = "max"')
@@ -233,8 +307,11 @@ def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject)
         sensitivity=sensitivity,
         objectives=objectives,
         constraints=constraints,
-        constraint_units=constraint_units(data),
+        constraint_units=constraint_units(data, constraints),
         refine_starts=validate(_Refine, data["refine"], "refine").starts if "refine" in data else 0,
+        external=external,
+        limits=limits,
+        margins=margins,
     )
 
 

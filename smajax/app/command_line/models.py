@@ -50,6 +50,10 @@ def simulate(
     rig: RigFile,
     recording: Annotated[Path, typer.Argument(metavar="INPUT.csv", help="A recording with the rig's inputs.")],
     out: Out,
+    cycles: Annotated[
+        int | None,
+        typer.Option("--cycles", min=1, help="Equal cycles of the recording: show the metrics of the last one."),
+    ] = None,
     reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -61,7 +65,7 @@ def simulate(
         from smajax.files.result_folder import check_output_folder
 
         check_output_folder(out)
-        study = predict(rig_with_reading(rig, reading), recording, progress=progress)
+        study = predict(rig_with_reading(rig, reading), recording, cycles=cycles, progress=progress)
         study.save(out, argv=argv())
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
 

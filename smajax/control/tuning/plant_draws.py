@@ -15,6 +15,8 @@ from smajax.parameters.checks import ORDERED_PAIRS
 _ATTEMPTS = 50
 # Half width of a 95 % interval of the normal distribution in standard deviations.
 _HALF_WIDTH_95 = 1.959964
+# Smaller eigenvalues of the correlations, relative to the largest, are rounding: their half axes have no length.
+_MIN_EIGENVALUE = 1e-9
 
 
 def draw_from_fit(
@@ -38,17 +40,9 @@ def draw_from_fit(
     Raises:
         InputError: if no parameter has an interval.
     """
-    entries = {n: e for n, e in document["parameters"].items() if "@" not in n and n in names}
-    free = [
-        n for n, e in entries.items() if e["lower95"] is not None and not e["at_bound"] and e["upper95"] > e["lower95"]
-    ]
-    if not free:
-        raise InputError(
-            "the fit gives no parameter an interval, so there is nothing to draw: fit with more data, or use ranges"
-        )
+    entries, free = _fitted_entries(document, names)
     estimate = np.array([entries[n]["estimate"] for n in free])
-    widths = [entries[n]["upper95"] - entries[n]["lower95"] for n in free]
-    deviation = np.array([width / (2.0 * _HALF_WIDTH_95) for width in widths])
+    deviation = _half_widths(entries, free) / _HALF_WIDTH_95
     values, vectors = np.linalg.eigh(_correlation_of(document, free))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     lower = _bounds_of(entries, free, 0, -np.inf)
@@ -64,6 +58,50 @@ def draw_from_fit(
     samples[rows] = estimate
     fixed = {n: np.full(count, e["estimate"]) for n, e in entries.items() if n not in free}
     return {n: samples[:, i] for i, n in enumerate(free)} | fixed
+
+
+def confidence_axes(
+    document: Mapping[str, Any], names: Sequence[str]
+) -> tuple[tuple[str, ...], Float[np.ndarray, "axes free"]]:
+    """Return the half axes of the ellipsoid of a fit's intervals and correlations.
+
+    A quantity that is linear in the parameters has the 95 % half width sqrt(sum d_k^2), with d_k its change along half
+    axis k.
+
+    Args:
+        document: Content of fit.json.
+        names: Names of the plant's parameters; others in the document are left out.
+
+    Returns:
+        Names of the parameters that have an interval, and the half axes, internal units, shape ``(axes, free)``.
+
+    Raises:
+        InputError: if no parameter has an interval.
+    """
+    entries, free = _fitted_entries(document, names)
+    values, vectors = np.linalg.eigh(_correlation_of(document, free))
+    axes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * _half_widths(entries, free)
+    return tuple(free), axes[values > _MIN_EIGENVALUE * values.max()]
+
+
+def _fitted_entries(
+    document: Mapping[str, Any], names: Sequence[str]
+) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
+    """Entries of the plant's parameters in a document, and the names of those that have an interval."""
+    entries = {n: e for n, e in document["parameters"].items() if "@" not in n and n in names}
+    free = [
+        n for n, e in entries.items() if e["lower95"] is not None and not e["at_bound"] and e["upper95"] > e["lower95"]
+    ]
+    if not free:
+        raise InputError(
+            "the fit gives no parameter an interval, so there is nothing to draw: fit with more data, or use ranges"
+        )
+    return entries, free
+
+
+def _half_widths(entries: Mapping[str, Mapping[str, Any]], free: Sequence[str]) -> Float[np.ndarray, " free"]:
+    """Half widths of the 95 % intervals."""
+    return np.array([0.5 * (entries[n]["upper95"] - entries[n]["lower95"]) for n in free])
 
 
 def _is_out_of_order(

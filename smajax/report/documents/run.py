@@ -48,6 +48,13 @@ class RangeEntry(Part):
     unit: str = Field(description="unit of the column of simulation.csv")
 
 
+class CycleMetricEntry(Part):
+    """Metric of the last cycle of a simulation."""
+
+    value: Number = Field(description="value, in the unit")
+    unit: str = Field(description="unit: SI, degC for temperatures")
+
+
 class SimulationDocument(_RunHead):
     """``run.json`` of ``smajax simulate``: record of the run, and ranges of the simulated channels."""
 
@@ -59,4 +66,7 @@ class SimulationDocument(_RunHead):
     channels: dict[str, RangeEntry] = Field(description="ranges of the simulated channels by name")
     recordings: list[RecordingEntry] = Field(min_length=1, description="the recording of the inputs")
     warnings: list[str] = Field(description="warnings as sentences")
+    metrics: dict[str, CycleMetricEntry] | None = Field(
+        None, description="metrics of a sweep over the last cycle, by name; missing without a number of cycles"
+    )
     files: list[str] = Field(description="the files of the folder")

@@ -18,6 +18,8 @@ class AxisEntry(Part):
     upper: float = Field(alias="to", description="upper end, in the unit")
     scale: Literal["log", "even"] = Field(description="whether the designs are even in the logarithm or in the value")
     values: list[float] = Field(description="values of a list, in the unit; empty for a range")
+    labels: list[str] | None = Field(None, description="names of the values, which are then their indices")
+    catalogue: str | None = Field(None, description="wire whose stock diameters the values are")
 
 
 class MetricEntry(Part):
@@ -33,6 +35,26 @@ class ConstraintEntry(Part):
 
     at_least: Number = Field(description="lower end; null for none")
     at_most: Number = Field(description="upper end; null for none")
+    excludes: int | None = Field(None, ge=0, description="number of simulated designs that violate it")
+    excludes_alone: int | None = Field(None, ge=0, description="number of these that violate no other constraint")
+
+
+class LimitEntry(Part):
+    """Limit of the material, which holds as a constraint."""
+
+    at_most: float = Field(description="upper end of the metric, in its unit")
+    cycles: float | None = Field(description="number of cycles that a wire bears at this stress; null for others")
+    parameter_set: str = Field(description="parameter set of the limit")
+    source: str = Field(description="where it comes from")
+
+
+class MarginEntry(Part):
+    """Deviations for which the constraints hold."""
+
+    metrics: list[str] = Field(description="metrics with margin, which the constraints bound")
+    vary: dict[str, float] = Field(description="half widths of ranges by parameter, in its unit")
+    units: dict[str, str] = Field(description="units of these half widths")
+    fit: str = Field(description="folder of the fit whose intervals count; empty for none")
 
 
 class DesignEntry(Part):
@@ -52,6 +74,7 @@ class RefinedEntry(Part):
     simulations: int = Field(ge=0, description="number of simulations")
     better: bool = Field(description="whether it satisfies all constraints and is better than before")
     rescued: bool = Field(description="whether it violated a constraint before and satisfies all after")
+    command: str | None = Field(None, description="command that shows its metrics, in the result folder")
 
 
 class SettlingEntry(Part):
@@ -90,6 +113,8 @@ class SweepDocument(Document):
     metrics: dict[str, MetricEntry] = Field(description="ranges of the metrics by name")
     objectives: dict[str, Literal["min", "max"]] = Field(description="metrics to minimise or maximise")
     constraints: dict[str, ConstraintEntry] = Field(description="required ranges of metrics by name")
+    limits: dict[str, LimitEntry] | None = Field(None, description="limits of the material by metric; empty for none")
+    margins: MarginEntry | None = Field(None, description="margins of the constraints; missing for none")
     front: list[DesignEntry] = Field(description="designs of the Pareto front; up to 200 of them, the table has all")
     on_front: int = Field(ge=0, description="number of designs on the Pareto front")
     settling: SettlingEntry = Field(description="designs that have not settled; empty for an actuator")
@@ -99,6 +124,7 @@ class SweepDocument(Document):
     problems: list[str] = Field(description="reasons why there is no usable design, as clauses")
     seed: int = Field(description="seed of all random numbers")
     smajax: str = Field(description="version of smajax that computed the result")
+    purchase: str | None = Field(None, description="what to buy for the best design, in words")
     summary: str = Field(description="the result in sentences")
 
     @model_validator(mode="after")

@@ -66,6 +66,7 @@ SWEEP = """
 rig = "rig.toml"
 designs = 130
 chunk = 20
+limits = "none"
 metrics = ["stroke", "force", "peak_stress", "peak_temperature", "energy_per_cycle", "work_per_cycle", "efficiency", "time_to_cool"]
 [parameters]
 wire.diameter = ["0.14 mm", "0.2 mm"]
