@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from smajax import parameters
+from smajax.api.bench import report_findings
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
@@ -124,10 +125,9 @@ def diagnose(
     clock, began, reporter = Clock(), time.perf_counter(), Reporter(progress)
     with clock.time("read"):
         reporter.phase("reading")
-        rig = as_rig(rig, drop_misplaced=True)
-        seed = seed_or_default("diagnose", seed, rig.fit.seed)
-        text, rig = rig_text(rig), with_start(rig, start)
+        rig, text, seed = _read_rig(rig, start, seed)
         recordings = _read(rig, (train, select, holdout), drop_bad_rows)
+        bench = report_findings(rig, recordings, reporter)
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
         result = _diagnose(rig, setup, (seed, laws), reporter, clock)
@@ -141,6 +141,7 @@ def diagnose(
         simulations=setup.problem.simulations,
         wall_time=time.perf_counter() - began,
         seed=seed,
+        bench=bench,
     )
     code, reason = _outcome(result, document)
     return DiagnosisStudy(
@@ -151,6 +152,13 @@ def diagnose(
         reason=reason,
         result=result,
     )
+
+
+def _read_rig(rig: RigSource, start: str | Path | None, seed: int | None) -> tuple[Rig, str, int]:
+    """The rig with its start values, the text of its file, and the seed."""
+    rig = as_rig(rig, drop_misplaced=True)
+    seed = seed_or_default("diagnose", seed, rig.fit.seed)
+    return with_start(rig, start), rig_text(rig), seed
 
 
 def _read(rig: Rig, sources: Sequence[Any], drop_bad_rows: bool) -> list[Recording]:

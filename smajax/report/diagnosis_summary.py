@@ -7,6 +7,7 @@ from smajax.diagnosis.candidates import AT_NOISE
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 from smajax.report.documents.diagnosis import STRUCTURE_KEYS
+from smajax.report.summary import bench_sentences
 
 Document = Mapping[str, Any]
 
@@ -20,7 +21,7 @@ def sentences(doc: Document) -> list[str]:
     law, lines = _law_sentences(doc), _structure_sentences(doc)
     in_structure = {key for key in doc["effects"] if lines and key in STRUCTURE_KEYS}
     lines += [sentence for key in doc["effects"] if key not in in_structure for sentence in _effect_sentences(doc, key)]
-    lines = [*law, *lines, *_candidate_sentences(doc)]
+    lines = [*bench_sentences(doc), *law, *lines, *_candidate_sentences(doc)]
     if unexplained := _verdict_sentence(doc):
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
@@ -58,7 +59,8 @@ def text(doc: Document, folder: str = "") -> str:
         doc: The document diagnosis.json.
         folder: The result folder, which the last line names; empty for none.
     """
-    lines = [f"Verdict: {doc['verdict']}", "", *sentences(doc), ""]
+    bench = bench_sentences(doc)
+    lines = [*bench, *([""] if bench else []), f"Verdict: {doc['verdict']}", "", *sentences(doc)[len(bench) :], ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
     place = f"; all results in {folder}" if folder else ""
     lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s{place}")

@@ -29,6 +29,8 @@ def fit_document(
     settings: FitSettings,
     *,
     profiles: Mapping[str, Mapping[str, Any]] | None = None,
+    bench: Sequence[Mapping[str, Any]] = (),
+    failure: str = "",
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Build the document of a fit.
@@ -38,6 +40,8 @@ def fit_document(
         rig: The rig that was fitted.
         settings: The settings of the fit.
         profiles: Profile likelihoods by parameter, as ``smajax.fitting.profile.profile_likelihood`` returns them.
+        bench: Entries of what the recordings show about their bench.
+        failure: Why the fit is a failure although its search ended.
         warnings: Warnings as sentences.
     """
     failed = [
@@ -64,18 +68,12 @@ def fit_document(
         },
         "discretisation": _discretisation_entries(result, settings),
         "profiles": {name: _profile_entry(profile) for name, profile in (profiles or {}).items()},
-        "solver": {
-            "code": result.status.name,
-            "text": result.status.text,
-            "steps": result.steps,
-            "simulations": result.simulations,
-            "wall_s": finite_or_none(result.wall_time),
-            "compile_s": finite_or_none(result.compile_time),
-            "starts": result.starts,
-            "starts_at_best": result.starts_at_best,
-        },
+        "solver": _solver_entry(result),
         "recordings": [recording_entry(r.recording, r.role) for r in result.responses],
-        "notices": transformation_notices(result),
+        "bench": list(bench),
+        "failure": failure,
+        # Where a clock or an input is in doubt, so is what the wire does at it.
+        "notices": [] if _has_doubtful_scale(bench) else transformation_notices(result),
         "warnings": [*failed, *warnings, *(value.sentence for value in implausible)],
         "implausible": [implausible_entry(value) for value in implausible],
         "seed": result.seed,
@@ -90,6 +88,7 @@ def failed_document(
     recordings: Sequence[tuple[Recording, str]],
     reason: str,
     *,
+    bench: Sequence[Mapping[str, Any]] = (),
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Build the document of a fit whose simulation failed at the start values.
@@ -99,6 +98,7 @@ def failed_document(
         settings: The settings of the fit.
         recordings: The recordings with their roles.
         reason: Reason of the failure.
+        bench: Entries of what the recordings show about their bench.
         warnings: Warnings as sentences.
     """
     free = _start_entries(rig, settings)
@@ -123,12 +123,31 @@ def failed_document(
             "starts_at_best": 0,
         },
         "recordings": [recording_entry(recording, role) for recording, role in recordings],
+        "bench": list(bench),
         "notices": [],
         "warnings": list(warnings),
         "seed": settings.seed,
         "smajax": __version__,
     }
     return FitDocument.check(document)
+
+
+def _solver_entry(result: FitResult) -> dict[str, Any]:
+    """How the search ended, and its effort."""
+    return {
+        "code": result.status.name,
+        "text": result.status.text,
+        "steps": result.steps,
+        "simulations": result.simulations,
+        "wall_s": finite_or_none(result.wall_time),
+        "compile_s": finite_or_none(result.compile_time),
+        "starts": result.starts,
+        "starts_at_best": result.starts_at_best,
+    }
+
+
+def _has_doubtful_scale(bench: Sequence[Mapping[str, Any]]) -> bool:
+    return any(entry["code"] in ("clock", "input") for entry in bench)
 
 
 def estimate_entry(estimate: Estimate) -> dict[str, Any]:

@@ -37,7 +37,8 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     """
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
-    sections = [bullets(doc["notices"])] if doc.get("notices") else []
+    notices = [*summary.bench_sentences(doc), *doc.get("notices", ())]
+    sections = [bullets(notices)] if notices else []
     sections += [_verdict_section(doc), rmse_table(doc), "<h2>Parameters</h2>", parameter_table(doc)]
     sections.append(bullets(summary.remarks(doc)))
     sections.append("<h2>Measured against model</h2>")
@@ -94,7 +95,9 @@ def _verdict_section(doc: Mapping[str, Any]) -> str:
             "The simulation fails at the start values, so there is no fit: the numbers below are the values of the rig "
             "file."
         ]
-    bad = failed or any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
+    if doc.get("failure"):
+        sentences = [summary.capitalised(doc["failure"]), *sentences]
+    bad = failed or bool(doc.get("failure")) or any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
     return verdict_section(sentences, bad=bad)
 
 

@@ -78,7 +78,10 @@ def text(doc: Document, folder: str = "") -> str:
         doc: The document fit.json.
         folder: The result folder, which the last line names; empty for none.
     """
-    lines = [*wrap(headline(doc), _WIDTH), ""]
+    lines = [line for sentence in bench_sentences(doc) for line in [*wrap(sentence, _WIDTH), ""]]
+    if doc.get("failure"):  # absent in documents of earlier versions
+        lines += [*wrap(capitalised(doc["failure"]), _WIDTH), ""]
+    lines += [*wrap(headline(doc), _WIDTH), ""]
     for notice in doc.get("notices", ()):
         lines += [*wrap(notice, _WIDTH), ""]
     if doc["solver"]["code"] != "failed":
@@ -102,6 +105,16 @@ def text(doc: Document, folder: str = "") -> str:
     if folder:
         lines += ["", f"Results: {folder}"]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def bench_sentences(doc: Document) -> list[str]:
+    """List sentences about what the recordings show about their bench, which come before any number."""
+    return [entry["text"] for entry in doc.get("bench", ())]  # absent in documents of earlier versions
+
+
+def capitalised(text: str) -> str:
+    """Return a text as a sentence with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def headline(doc: Document) -> str:
@@ -181,7 +194,7 @@ def parameter_rows(doc: Document) -> list[tuple[str, ...]]:
     for name, entry in doc["parameters"].items():
         if not entry["free"]:
             continue
-        if is_undetermined(entry):
+        if is_undetermined(entry) and not doc.get("failure"):
             estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"])
             rows.append((name, estimate, "-", "-", unit, "not determined"))
             continue
@@ -301,7 +314,7 @@ def _round_to(value: float | None, half: float) -> str:
 
 
 def _undetermined_sentences(doc: Document) -> list[str]:
-    if doc["solver"]["code"] == "failed":
+    if doc["solver"]["code"] == "failed" or doc.get("failure"):
         return []
     names = [name for name, entry in doc["parameters"].items() if is_undetermined(entry)]
     return [_undetermined_sentence(name, doc["parameters"][name], doc.get("profiles", {}).get(name)) for name in names]

@@ -162,6 +162,7 @@ def test_help_names_every_command_and_its_options():
         "--json",
         "--no-open",
         "--profile",
+        "--auto",
     ):
         assert option in options
     assert smajax("--version").stdout == "smajax 0.2.0\n"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from smajax.app.command_line.options import Open, Quiet, RigFile
+from smajax.app.command_line.options import Auto, Open, Quiet, RigFile
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
 from smajax.errors import InputError
@@ -93,6 +93,7 @@ def check(
     recordings: Annotated[
         list[Path] | None, typer.Argument(metavar="[RECORDING ...]", help="Recordings of this rig.")
     ] = None,
+    auto: Auto = False,
     reading: Reading = NO_CHANGES,
 ) -> None:
     """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
@@ -101,7 +102,7 @@ def check(
     prepare_jax()  # the program that looks for a transformation is cached for the fit
     from smajax.app.commands.check import describe
 
-    typer.echo(describe(rig, recordings or [], reading))
+    typer.echo(describe(rig, recordings or [], reading, auto))
 
 
 def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:

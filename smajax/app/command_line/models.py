@@ -9,6 +9,7 @@ from typer.core import TyperCommand
 from smajax.app.command_line.options import (
     DEFAULT_MAX_STEPS,
     MAX_STEPS,
+    Auto,
     Json,
     Open,
     Out,
@@ -85,6 +86,7 @@ def fit(
     profile: Annotated[
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
     ] = None,
+    auto: Auto = False,
     reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -105,6 +107,7 @@ def fit(
             starts=starts,
             max_steps=max_steps,
             profile=profile or (),
+            auto=auto,
             progress=progress,
         )
         study.save(out, argv=argv())

@@ -10,6 +10,7 @@ import numpy as np
 
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
+from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.channels import channel_unit
 from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
@@ -32,13 +33,19 @@ _EVEN = 1e-3
 _ROUNDING = 1e-9
 
 
-def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] = MappingProxyType({})) -> str:
+def describe(
+    path: Path,
+    recordings: Sequence[Path],
+    reading: Mapping[str, Any] = MappingProxyType({}),
+    auto: bool = False,
+) -> str:
     """Describe a rig file, or an actuator file, and recordings of the rig.
 
     Args:
         path: The rig or actuator file.
         recordings: Recordings of the rig.
         reading: Options of ``ReadOptions`` by name, in place of those of the rig.
+        auto: Whether the rig is described as a fit with ``--auto`` would take it.
 
     Returns:
         The text that the command prints.
@@ -51,15 +58,18 @@ def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] 
         lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
     else:
         rig = read_rig(path).with_read_options(**reading)
-        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings)])
+        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings)], auto)
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+def _describe_rig(rig: Rig, recordings: Sequence[Recording], auto: bool) -> list[str]:
+    findings = rig_findings(rig, recordings)
+    rig = with_free_offsets(rig, findings) if auto else rig
     control = rig.plant.drive.control
     heated = ", heated as its temperature is recorded" if rig.kind != "path" else ""
     drive = f", driven by {control} ({rig.interpolation} between samples)" if control else heated
-    lines = [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
+    lines = [line for entry in bench_entries(findings, auto) for line in (entry["text"], "")]
+    lines += [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
     lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}
     observed = ", ".join(f"{c} (noise {noises[c]})" if c in noises else c for c in rig.fit.observe)
@@ -70,16 +80,20 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     for recording in recordings:
         lines += ["", *_describe_recording(rig, recording)]
     if recordings and rig.fit.names:
-        lines += ["", *_describe_fit(rig, recordings)]
+        is_scaled = not any(finding.code in ("clock", "input") for finding in findings)
+        lines += ["", *_describe_fit(rig, recordings, is_scaled)]
     return lines
 
 
-def _describe_fit(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
-    """Return the steps and the memory of a fit, and a notice where the rig's own values transform nothing."""
+def _describe_fit(rig: Rig, recordings: Sequence[Recording], is_scaled: bool) -> list[str]:
+    """Return the steps and the memory of a fit, and a notice where the rig's own values transform nothing.
+
+    The notice is left out where the scale of the input or the clock is in doubt.
+    """
     settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
     memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
     lines = [memory.sentence()]
-    if needs_transformation(rig.fit.names) and memory.others < free_memory():
+    if is_scaled and needs_transformation(rig.fit.names) and memory.others < free_memory():
         plants = [rig.plant] * len(recordings)
         gap = transformation_gap(plants, recordings, interpolation=rig.interpolation)
         lines += [] if gap is None else [f"Note: {gap.sentence(recordings, 'the values of this rig')}"]

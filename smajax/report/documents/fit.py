@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from smajax.report.documents.base import Document, Ends, Number, Part
-from smajax.report.documents.parts import ChannelValue, ImplausibleEntry, NoiseEntry, RecordingEntry
+from smajax.report.documents.parts import BenchEntry, ChannelValue, ImplausibleEntry, NoiseEntry, RecordingEntry
 
 
 class ParameterEntry(Part):
@@ -148,6 +148,14 @@ class FitDocument(Document):
     profiles: dict[str, ProfileEntry] = Field(description="requested profile likelihoods by parameter")
     solver: SolverEntry = Field(description="how the search ended, and its effort")
     recordings: list[RecordingEntry] = Field(min_length=1, description="training and holdout recordings")
+    bench: list[BenchEntry] = Field(
+        [], description="what the recordings show about their bench, before any number; absent in earlier documents"
+    )
+    failure: str = Field(
+        "",
+        description="why the fit is a failure although its search ended, in words, so that its estimates have no "
+        "intervals; empty for others, absent in earlier documents",
+    )
     notices: list[str] = Field(
         default_factory=list, description="sentences that come before all others, such as that nothing transforms"
     )
