@@ -20,7 +20,6 @@ from smajax.report.parameter_figures import correlation_picture, profile_picture
 from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import Series
 from smajax.report.time_figures import time_picture
-from smajax.units import as_text
 
 
 def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -110,17 +109,20 @@ def rmse_table(doc: Mapping[str, Any]) -> str:
 def parameter_table(doc: Mapping[str, Any]) -> str:
     """Return the table of the parameters of a fit."""
     rows = [
-        (name, estimate, low, high, pretty_unit(unit), plausible_text(doc["parameters"][name]), note)
-        for name, estimate, low, high, unit, note in summary.parameter_rows(doc)
+        (name, nominal, estimate, low, high, pretty_unit(unit), plausible_text(doc["parameters"][name]), note)
+        for name, nominal, estimate, low, high, unit, note in summary.parameter_rows(doc)
     ]
-    head = ("parameter", "estimate", "95 % from", "to", "unit", "an alloy can have", "")
-    return table(head, rows, numbers=(1, 2, 3), remark=6)
+    head = ("parameter", "nominal", "estimate", "95 % from", "to", "unit", "an alloy can have", "")
+    return table(head, rows, numbers=(1, 2, 3, 4), remark=7) + bullets(summary.temperature_sentences(doc))
 
 
 def plausible_text(entry: Mapping[str, Any]) -> str:
     """Return the plausible range of a parameter's entry; empty where there is none, as in earlier documents."""
     ends = entry.get("plausible") or ()
-    texts = ("" if end is None else as_text(float(f"{end:.4g}"), entry["unit"]) for end in ends)
+    texts = []
+    for end in ends:
+        value, _, _, unit = summary.readable(end, None, None, unit=entry["unit"], shown=entry.get("file_unit"))
+        texts.append("" if end is None else f"{value} {unit}".rstrip())
     return " to ".join(texts)
 
 

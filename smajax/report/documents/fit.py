@@ -18,6 +18,13 @@ class ParameterEntry(Part):
     free: bool = Field(description="whether it was fitted")
     at_bound: bool = Field(description="whether the estimate is at a bound, and therefore has no interval")
     bounds: Ends = Field(description="lower and upper bound, in the unit; null for none")
+    nominal: Number = Field(
+        None, description="value at which the fit began, in the unit; null if it is derived, or in earlier documents"
+    )
+    file_unit: str | None = Field(
+        None,
+        description="unit of the rig file, in which texts show it; null where it has none, or in earlier documents",
+    )
     plausible: Ends | None = Field(
         None, description="what an alloy can have, in the unit; null where no range is known, or in earlier documents"
     )
@@ -144,6 +151,11 @@ class FitDocument(Document):
     correlations: Correlations = Field(description="correlations of the estimates")
     discretisation: dict[str, ChannelValue] = Field(
         description="RMS change of the model on the first recording when all time steps are halved, by observed channel"
+    )
+    transformation_temperatures: dict[str, Number] = Field(
+        default_factory=dict,
+        description="transformation temperatures at zero stress that result from the estimates, degC, by parameter "
+        "name; empty where none is free, absent in earlier documents",
     )
     profiles: dict[str, ProfileEntry] = Field(description="requested profile likelihoods by parameter")
     solver: SolverEntry = Field(description="how the search ended, and its effort")
