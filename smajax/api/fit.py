@@ -15,6 +15,7 @@ from smajax import __version__, parameters
 from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, recording_sources, rig_text, with_start
+from smajax.api.split import fit_sources
 from smajax.api.study import FileContent, Study, interval_of
 from smajax.arguments import MAX_STARTS, as_names, seed_or_default, whole_number
 from smajax.errors import Cancelled, InputError, NumericsError
@@ -101,6 +102,7 @@ def fit(
     profile: Sequence[str] = (),
     solver: Any = None,
     auto: bool = False,
+    split: bool = False,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> FitStudy:
@@ -117,13 +119,13 @@ def fit(
         profile: Parameters whose profile likelihood is computed.
         solver: Any optimistix least-squares solver; by default a bounded Levenberg-Marquardt method.
         auto: Whether an offset that the recordings show is fitted, too.
+        split: Whether the last quarter of the only recording is its holdout.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase and step; ``StopIteration`` stops the fit.
 
     Returns:
-        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why. A fit that explains
-        nothing is a failure, too: a residual of 100 times the noise with several parameters at their bounds, or of 10
-        times the noise with a recording that contradicts the rig.
+        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why; the same for a fit
+        that explains nothing (``smajax.fitting.fit_quality``).
 
     Raises:
         InputError: If a file or an argument is not valid.
@@ -132,23 +134,27 @@ def fit(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        options = (seed, starts, max_steps)
-        inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
+        rig, options = as_rig(rig), (seed, starts, max_steps)
+        train, holdout = fit_sources(rig, train, holdout, split, drop_bad_rows)
+        inputs = _read_inputs(rig, train, holdout, start, options, profile, drop_bad_rows)
         inputs = _with_findings(inputs, auto, reporter)
     search = _search(inputs, solver, max_steps, reporter, clock)
     search, failure = _without_meaning(search, inputs, auto)
     reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search, failure)
     code, reason = _outcome(search, responses, _why_no_minimum(search.result, solver) or failure)
-    ending = {"code": document["solver"]["code"], "text": document["solver"]["text"]}
     return FitStudy(
         document=document,
         series=tuple(_to_series(inputs.rig, response) for response in responses),
-        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | ending,
+        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | _ending(document),
         files=_files(inputs, search.result),
         reason=reason,
         result=search.result,
     )
+
+
+def _ending(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: document["solver"][key] for key in ("code", "text")}
 
 
 def _outcome(search: "_Search", responses: Sequence[Response], failure: str) -> tuple[int, str]:

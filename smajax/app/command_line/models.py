@@ -16,6 +16,7 @@ from smajax.app.command_line.options import (
     Quiet,
     RigFile,
     Seed,
+    Split,
     Start,
     TrainFile,
 )
@@ -87,6 +88,7 @@ def fit(
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
     ] = None,
     auto: Auto = False,
+    split: Split = False,
     reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -108,6 +110,7 @@ def fit(
             max_steps=max_steps,
             profile=profile or (),
             auto=auto,
+            split=split,
             progress=progress,
         )
         study.save(out, argv=argv())
@@ -118,14 +121,17 @@ def fit(
 def diagnose(
     rig: RigFile,
     train: TrainFile,
+    out: Out,
     select: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--select", metavar="S.csv", help="Another input: an effect is added if it lowers the error here."
         ),
-    ],
-    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, used once, at the end.")],
-    out: Out,
+    ] = None,
+    holdout: Annotated[
+        Path | None, typer.Option("--holdout", metavar="H.csv", help="A third input, used once, at the end.")
+    ] = None,
+    split: Split = False,
     start: Start = None,
     seed: Seed = None,
     laws: Annotated[
@@ -149,6 +155,7 @@ def diagnose(
             start=start,
             seed=seed,
             laws=laws,
+            split=split,
             progress=progress,
         )
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
@@ -158,8 +165,11 @@ def diagnose(
 def compare(
     rig: RigFile,
     train: TrainFile,
-    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
     out: Out,
+    holdout: Annotated[
+        Path | None, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")
+    ] = None,
+    split: Split = False,
     models: Annotated[
         str | None, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")
     ] = None,
@@ -177,7 +187,13 @@ def compare(
 
         check_output_folder(out)
         study = compare_models(
-            rig_with_reading(rig, reading), train, holdout=holdout, models=names, seed=seed, progress=progress
+            rig_with_reading(rig, reading),
+            train,
+            holdout=holdout,
+            models=names,
+            seed=seed,
+            split=split,
+            progress=progress,
         )
         study.save(out, argv=argv())
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
