@@ -142,9 +142,9 @@ def _best(
             response = response_to(plant, grid, len(recording))
             scales.append(_Scale("clock", factor, _usable(recording, response, channels)))
     grid = grid_of(plant, recording) if inputs else None
-    for factor in inputs if grid is not None else ():
-        response = response_to(plant, grid.scale(factor), len(recording))
-        scales.append(_Scale("input", factor, _usable(recording, response, channels)))
+    if grid is not None:
+        responses = [(factor, response_to(plant, grid.scale(factor), len(recording))) for factor in inputs]
+        scales += [_Scale("input", f, _usable(recording, response, channels)) for f, response in responses]
     best = max(scales, key=lambda scale: scale.correlation, default=None)
     return best if best is not None and best.correlation >= _FITS else None
 

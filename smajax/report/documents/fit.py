@@ -18,15 +18,15 @@ class ParameterEntry(Part):
     free: bool = Field(description="whether it was fitted")
     at_bound: bool = Field(description="whether the estimate is at a bound, and therefore has no interval")
     bounds: Ends = Field(description="lower and upper bound, in the unit; null for none")
+    plausible: Ends | None = Field(
+        None, description="what an alloy can have, in the unit; null where no range is known, or in earlier documents"
+    )
     nominal: Number = Field(
         None, description="value at which the fit began, in the unit; null if it is derived, or in earlier documents"
     )
     file_unit: str | None = Field(
         None,
         description="unit of the rig file, in which texts show it; null where it has none, or in earlier documents",
-    )
-    plausible: Ends | None = Field(
-        None, description="what an alloy can have, in the unit; null where no range is known, or in earlier documents"
     )
 
     @property

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import smajax as sma
 from smajax import parameters
+from smajax.api.bench import rig_findings
 from smajax.app import cli
 from smajax.files.rig_file import read_rig
 from smajax.fitting.bench_checks import bench_findings
@@ -96,7 +97,7 @@ def test_no_shipped_recording_is_in_doubt(folder):
     folder = data_path("recordings", folder)
     rig = read_rig(folder / "rig.toml", drop_misplaced=True)
     recordings = [rig.read(path) for path in sorted(folder.glob("*.csv"))]
-    assert [finding.sentence for finding in bench_findings(rig.plant, recordings, rig.fit)] == []
+    assert [finding.sentence for finding in rig_findings(rig, recordings)] == []
 
 
 def test_a_wire_that_begins_warm_has_no_offset(rig, recording):
@@ -157,7 +158,9 @@ def test_a_fit_of_an_offset_is_a_failure_without_intervals_and_auto_fits_it(few,
     free = sma.fit(few, shifted, auto=True)
     assert free.success
     assert free.document["bench"][0]["text"].endswith("sensor.displacement_offset is free, as --auto asks.")
-    low, high = free.parameters["sensor.displacement_offset"].interval
+    interval = free.parameters["sensor.displacement_offset"].interval
+    assert interval is not None
+    low, high = interval
     assert low < 12.4e-3 < high and high - low < 5e-4
     assert free.rmse["displacement"]["train"] < 1.1 * sma.fit(few, recording).rmse["displacement"]["train"]
 
@@ -217,4 +220,4 @@ def test_no_recording_of_others_is_in_doubt(shared):
     for path in sorted((shared / "blind").glob("*/rig.toml")):
         rig = read_rig(path, drop_misplaced=True)
         recordings = [rig.read(path.parent / f"{part}.csv") for part in ("train", "select", "holdout")]
-        assert [finding.sentence for finding in bench_findings(rig.plant, recordings, rig.fit)] == [], path
+        assert [finding.sentence for finding in rig_findings(rig, recordings)] == [], path
