@@ -11,6 +11,7 @@ from smajax.files.file_units import file_units
 from smajax.files.rig_file import parse_rig
 from smajax.recordings.datasets import data_path
 from smajax.report import diagnosis_page, diagnosis_summary, run_pages, summary
+from smajax.report.documents import DiagnosisDocument
 from tests.unit.report.example_documents import DIAGNOSIS
 
 FOLDER = data_path("recordings", "dead-weight")
@@ -97,3 +98,12 @@ def test_a_rival_with_a_smaller_error_is_explained():
     )
     assert "do not distinguish it" in equivalent
     assert by_choice in diagnosis_summary.sentences(with_ranking(("coating", 0.019)))
+
+
+def test_a_diagnosis_begins_with_what_its_recordings_show():
+    text = "own.csv: displacement begins at 12.4 mm where the rig is at 0: subtract it."
+    entry = {"code": "offset", "channel": "displacement", "recordings": ["own.csv"], "text": text}
+    document = with_ranking() | {"bench": [entry]}
+    DiagnosisDocument.check(document)
+    assert diagnosis_summary.text(document).startswith(f"{text}\n\nVerdict: named\n")
+    assert diagnosis_summary.sentences(document)[0] == text
