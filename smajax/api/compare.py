@@ -7,6 +7,7 @@ from typing import Any
 
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text
+from smajax.api.split import refuse_others, split_in_two
 from smajax.api.study import Study
 from smajax.arguments import as_names, seed_or_default
 from smajax.comparison.compare import compare_models
@@ -44,9 +45,10 @@ def compare(
     rig: RigSource,
     train: Any,
     *,
-    holdout: Any,
+    holdout: Any = None,
     models: Sequence[str] | None = None,
     seed: int | None = None,
+    split: bool = False,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> ComparisonStudy:
@@ -58,6 +60,7 @@ def compare(
         holdout: The recording to predict, given likewise.
         models: Names of the models; all of them by default.
         seed: Seed of the starting points; that of the rig by default.
+        split: Whether the last quarter of the only recording is its holdout, cut where the wire is at rest.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each model.
 
@@ -69,9 +72,12 @@ def compare(
     """
     clock, reporter = Clock(), Reporter(progress)
     names = select_models(model_names() if models is None else as_names("compare", "models", models))
+    refuse_others("compare", split, holdout=holdout)
     reporter.phase("reading")
     with clock.time("read"):
         rig = as_rig(rig)
+        if split:
+            train, holdout = split_in_two(rig, train, drop_bad_rows)
         seed = seed_or_default("compare", seed, rig.fit.seed)
         text = rig_text(rig)
         sources = one_source(train, "train"), one_source(holdout, "holdout")

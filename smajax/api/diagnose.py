@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from smajax import parameters
+from smajax.api.bench import report_findings
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
+from smajax.api.split import refuse_others, split_recording
 from smajax.api.study import FileContent, Study
 from smajax.arguments import seed_or_default
 from smajax.comparison.material_models import with_material_law
@@ -95,11 +97,12 @@ def diagnose(
     rig: RigSource,
     train: Any,
     *,
-    select: Any,
-    holdout: Any,
+    select: Any = None,
+    holdout: Any = None,
     start: str | Path | None = None,
     seed: int | None = None,
     laws: bool = False,
+    split: bool = False,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> DiagnosisStudy:
@@ -113,6 +116,7 @@ def diagnose(
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
         seed: Seed of the random numbers; that of the rig by default.
         laws: Whether to compare other material laws although effects explain the residual.
+        split: Whether the only recording is cut into all three, where the wire is at rest.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase.
 
@@ -124,24 +128,14 @@ def diagnose(
     clock, began, reporter = Clock(), time.perf_counter(), Reporter(progress)
     with clock.time("read"):
         reporter.phase("reading")
-        rig = as_rig(rig, drop_misplaced=True)
-        seed = seed_or_default("diagnose", seed, rig.fit.seed)
-        text, rig = rig_text(rig), with_start(rig, start)
-        recordings = _read(rig, (train, select, holdout), drop_bad_rows)
+        rig, text, seed = _read_rig(rig, start, seed)
+        recordings = _read(rig, (train, select, holdout), split, drop_bad_rows)
+        bench = report_findings(rig, recordings, reporter)
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
         result = _diagnose(rig, setup, (seed, laws), reporter, clock)
     reporter.finish("writing the report")
-    document = diagnosis_document(
-        result,
-        recordings,
-        evidence=setup.auxiliary,
-        left_out=setup.left_out,
-        misplaced=rig.misplaced,
-        simulations=setup.problem.simulations,
-        wall_time=time.perf_counter() - began,
-        seed=seed,
-    )
+    document = _document(result, recordings, setup, rig, (began, seed), bench)
     code, reason = _outcome(result, document)
     return DiagnosisStudy(
         document=document,
@@ -153,10 +147,43 @@ def diagnose(
     )
 
 
-def _read(rig: Rig, sources: Sequence[Any], drop_bad_rows: bool) -> list[Recording]:
+def _read_rig(rig: RigSource, start: str | Path | None, seed: int | None) -> tuple[Rig, str, int]:
+    """The rig with its start values, the text of its file, and the seed."""
+    rig = as_rig(rig, drop_misplaced=True)
+    seed = seed_or_default("diagnose", seed, rig.fit.seed)
+    return with_start(rig, start), rig_text(rig), seed
+
+
+def _read(rig: Rig, sources: Sequence[Any], split: bool, drop_bad_rows: bool) -> list[Recording]:
+    """The recordings for training, selection and holdout."""
+    refuse_others("diagnose", split, select=sources[1], holdout=sources[2])
+    sources = split_recording(rig, sources[0], drop_bad_rows) if split else sources
     train, *others = ([one_source(s, name)] for s, name in zip(sources, SPLIT_NAMES, strict=True))
     pairs = read_train_and_holdout(rig, train, [source for other in others for source in other], drop_bad_rows)
     return [recording for recording, _ in pairs]
+
+
+def _document(
+    result: Diagnosis,
+    recordings: Sequence[Recording],
+    setup: DiagnosisSetup,
+    rig: Rig,
+    options: tuple[float, int],
+    bench: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    """The document of a diagnosis; ``options`` are the time at which it began, s, and the seed."""
+    began, seed = options
+    return diagnosis_document(
+        result,
+        recordings,
+        evidence=setup.auxiliary,
+        left_out=setup.left_out,
+        misplaced=rig.misplaced,
+        simulations=setup.problem.simulations,
+        wall_time=time.perf_counter() - began,
+        seed=seed,
+        bench=bench,
+    )
 
 
 def _outcome(result: Diagnosis, document: Mapping[str, Any]) -> tuple[int, str]:

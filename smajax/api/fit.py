@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from smajax import __version__, parameters
+from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, recording_sources, rig_text, with_start
+from smajax.api.split import fit_sources
 from smajax.api.study import FileContent, Study, interval_of
 from smajax.arguments import MAX_STARTS, as_names, seed_or_default, whole_number
 from smajax.errors import Cancelled, InputError, NumericsError
@@ -21,8 +23,10 @@ from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.bench_checks import BenchFinding
 from smajax.fitting.fit import MAX_STEPS
 from smajax.fitting.fit import fit as fit_plant
+from smajax.fitting.fit_quality import unusable_reason
 from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.profile import profile_labels, profile_likelihood
@@ -97,6 +101,8 @@ def fit(
     max_steps: int = MAX_STEPS,
     profile: Sequence[str] = (),
     solver: Any = None,
+    auto: bool = False,
+    split: bool = False,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> FitStudy:
@@ -112,11 +118,14 @@ def fit(
         max_steps: Most steps of the search from each start.
         profile: Parameters whose profile likelihood is computed.
         solver: Any optimistix least-squares solver; by default a bounded Levenberg-Marquardt method.
+        auto: Whether an offset that the recordings show is fitted, too.
+        split: Whether the last quarter of the only recording is its holdout.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase and step; ``StopIteration`` stops the fit.
 
     Returns:
-        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why.
+        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why; the same for a fit
+        that explains nothing (``smajax.fitting.fit_quality``).
 
     Raises:
         InputError: If a file or an argument is not valid.
@@ -125,26 +134,39 @@ def fit(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        options = (seed, starts, max_steps)
-        inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
-    search = _search(inputs, solver, max_steps, reporter, clock)
+        rig, options = as_rig(rig), (seed, starts, max_steps)
+        train, holdout = fit_sources(rig, train, holdout, split, drop_bad_rows)
+        inputs = _read_inputs(rig, train, holdout, start, options, profile, drop_bad_rows)
+        inputs = _with_findings(inputs, auto, reporter)
+    search, failure = _without_meaning(_search(inputs, solver, max_steps, reporter, clock), inputs, auto)
     reporter.finish("writing the report")
-    document, responses = _evaluate(inputs, search)
-    wrong = [r for r in responses if r.status is not SimulationStatus.done]
-    failed = [f"{r.recording.name}: {r.status.name}: {r.status.hint}" for r in wrong]
-    no_minimum = _why_no_minimum(search.result, solver)
-    failure = NumericsError.exit_code if failed or no_minimum or search.result is None else 0
-    code = Cancelled.exit_code if search.interrupted else failure
-    reason = search.reason or "; ".join(failed) or no_minimum or "interrupted with the best point so far"
-    ending = {"code": document["solver"]["code"], "text": document["solver"]["text"]}
+    document, responses = _evaluate(inputs, search, failure)
+    code, reason = _outcome(search, responses, _why_no_minimum(search.result, solver) or failure)
     return FitStudy(
         document=document,
         series=tuple(_to_series(inputs.rig, response) for response in responses),
-        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | ending,
+        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | _ending(document),
         files=_files(inputs, search.result),
-        reason=reason if code else "",
+        reason=reason,
         result=search.result,
     )
+
+
+def _ending(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: document["solver"][key] for key in ("code", "text")}
+
+
+def _outcome(search: "_Search", responses: Sequence[Response], failure: str) -> tuple[int, str]:
+    """Exit code, and why the fit did not succeed; ``failure`` says why its end is none."""
+    failed = [
+        f"{r.recording.name}: {r.status.name}: {r.status.hint}"
+        for r in responses
+        if r.status is not SimulationStatus.done
+    ]
+    reason = search.reason or "; ".join(failed) or failure
+    if search.interrupted:
+        return Cancelled.exit_code, reason or "interrupted with the best point so far"
+    return (NumericsError.exit_code if reason or search.result is None else 0), reason
 
 
 def _why_no_minimum(result: FitResult | None, solver: Any) -> str:
@@ -161,7 +183,7 @@ def _options(rig: Rig, seed: Any, starts: Any, max_steps: Any) -> dict[str, int]
 
 
 class _FitInputs(NamedTuple):
-    """Input of a fit: rig, text of its file, settings, recordings with roles, labels to profile, warnings."""
+    """Input of a fit: rig, text of its file, settings, recordings with roles, labels to profile, warnings, findings."""
 
     rig: Rig
     text: str
@@ -169,6 +191,8 @@ class _FitInputs(NamedTuple):
     recordings: list[tuple[Recording, str]]
     labels: list[str]
     warnings: list[str]
+    findings: Sequence[BenchFinding] = ()
+    bench: Sequence[Mapping[str, Any]] = ()
 
     def with_role(self, role: str) -> list[Recording]:
         """Return the recordings with a role."""
@@ -205,6 +229,33 @@ def _read_inputs(
         as_names("fit", "profile", profile), settings, [r.name for r, role in recordings if role == "train"]
     )
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
+
+
+def _with_findings(inputs: _FitInputs, auto: bool, reporter: Reporter) -> _FitInputs:
+    """Add what the recordings show about their bench, and with ``auto`` the offsets among it as free parameters."""
+    findings = rig_findings(inputs.rig, [recording for recording, _ in inputs.recordings])
+    bench = bench_entries(findings, auto)
+    for entry in bench:
+        reporter.phase(entry["text"])
+    rig = with_free_offsets(inputs.rig, findings) if auto else inputs.rig
+    if rig is not inputs.rig:
+        changes = {"free": rig.fit.free, "per_recording": rig.fit.per_recording}
+        settings: Any = dataclasses.replace(inputs.settings, **changes)
+        inputs = inputs._replace(rig=rig, text=rig.to_toml(), settings=settings)
+    return inputs._replace(findings=findings, bench=bench)
+
+
+def _without_meaning(search: _Search, inputs: _FitInputs, auto: bool) -> tuple[_Search, str]:
+    """Take the intervals from a fit that explains nothing; return why it is a failure, empty for any other."""
+    if search.result is None:
+        return search, ""
+    train = {recording.name for recording in inputs.with_role("train")}
+    open_findings = [f for f in inputs.findings if train & {*f.recordings} and not (auto and f.code == "offset")]
+    failure = unusable_reason(search.result, open_findings)
+    if not failure:
+        return search, ""
+    bare = tuple(dataclasses.replace(e, lower95=None, upper95=None) for e in search.result.estimates)
+    return search._replace(result=dataclasses.replace(search.result, estimates=bare), profiles={}), failure
 
 
 def _search(inputs: _FitInputs, solver: Any, max_steps: int, reporter: Reporter, clock: Clock) -> _Search:
@@ -264,19 +315,23 @@ def _report_step(reporter: Reporter, text: str, step: int, cost: float) -> None:
     reporter.step(f"{text}: step {step}", step)
 
 
-def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list[Response]]:
+def _evaluate(inputs: _FitInputs, search: _Search, failure: str) -> tuple[dict[str, Any], list[Response]]:
     """Return the document of a fit and the responses of all recordings, with the start values if the fit failed."""
     rig, result, warnings = inputs.rig, search.result, list(inputs.warnings)
     settings: Any = inputs.settings
     train, holdout = inputs.with_role("train"), inputs.with_role("holdout")
     if result is None:
         warnings += copied_holdout_warnings(train, holdout)
-        document = failed_document(rig, settings, inputs.recordings, search.reason, warnings=warnings)
+        document = failed_document(
+            rig, settings, inputs.recordings, search.reason, bench=inputs.bench, warnings=warnings
+        )
         return document, start_responses(
             rig.plant, train, rig.fit.observe, holdout=holdout, interpolation=rig.interpolation
         )
     warnings += fit_warnings(result, rig.plant, train, settings)
-    document = fit_document(result, rig, settings, profiles=search.profiles, warnings=warnings)
+    document = fit_document(
+        result, rig, settings, profiles=search.profiles, bench=inputs.bench, failure=failure, warnings=warnings
+    )
     return document, list(result.responses)
 
 

@@ -20,14 +20,14 @@ _REMEDY = "cut the recordings into parts, or sample them more coarsely"
 
 
 def diagnosis_memory(
-    plant: Plant, recordings: Sequence[Recording], *, interpolation: str = "hold", step: float | None = None
+    plant: Plant, recordings: Sequence[Recording], *, interpolation: str | None = None, step: float | None = None
 ) -> tuple[int, float]:
     """Compute the steps and the memory of a diagnosis; nothing is simulated.
 
     Args:
         plant: The plant.
         recordings: Recordings for training, selection and holdout, which are filled up to one length.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
 
     Returns:
@@ -38,14 +38,14 @@ def diagnosis_memory(
 
 
 def require_diagnosis_memory(
-    plant: Plant, recordings: Sequence[Recording], *, interpolation: str = "hold", free: float | None = None
+    plant: Plant, recordings: Sequence[Recording], *, interpolation: str | None = None, free: float | None = None
 ) -> None:
     """Refuse a diagnosis that does not fit into the free memory.
 
     Args:
         plant: The plant.
         recordings: Recordings for training, selection and holdout.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         free: Memory in bytes that this process can have; ``free_memory()`` if not given.
 
     Raises:

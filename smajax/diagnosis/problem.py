@@ -66,7 +66,7 @@ class DiagnosisProblem(GriddedSplits):
         plant: The plant of the rig file.
         splits: Training, selection and holdout split, in this order; a recording alone is a split.
         settings: The fit settings of the rig file.
-        interpolation: How inputs are interpolated (``discretise``).
+        interpolation: How inputs are interpolated (``discretise``); as in the plant by default.
         step: Length of the steps, s; ``None`` for the default.
         candidates: Keys of the effects that are candidates; by default all that the rig could have.
 
@@ -80,7 +80,7 @@ class DiagnosisProblem(GriddedSplits):
         splits: Sequence[DataSplit | Recording],
         settings: Settings,
         *,
-        interpolation: str,
+        interpolation: str | None = None,
         step: float | None = None,
         candidates: Collection[str] | None = None,
     ):

@@ -101,14 +101,15 @@ class GriddedSplits:
         plant: The plant of all problems.
         splits: Training, selection and holdout split, in this order.
         settings: The fit settings of the rig file.
-        grid_options: ``interpolation`` and ``step`` of ``discretise``.
+        grid_options: ``interpolation`` and ``step`` of ``discretise``; ``None`` for those of the plant.
     """
 
     def __init__(self, plant: Plant, splits: Sequence[DataSplit], settings: Settings, grid_options: dict[str, Any]):
         self.splits: list[DataSplit] = list(splits)
         self.channels: tuple[str, ...] = tuple(settings.observe)
         self.settings: Settings = settings
-        self.grid_options: dict[str, Any] = grid_options
+        interpolation = grid_options["interpolation"] or plant.interpolation
+        self.grid_options: dict[str, Any] = grid_options | {"interpolation": interpolation}
         self._pieces = 1  # default steps that one step of the problems replaces
         self._rows = [split.rows() for split in self.splits]
         self._has_clock = all(r.has_clock for r in self.splits[TRAIN].recordings)

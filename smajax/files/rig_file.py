@@ -58,7 +58,7 @@ class Rig:
         name: Name of the file.
         path: Path of the file; ``None`` for a rig made from text.
         kind: Kind of the rig, a key of ``MECHANISMS``.
-        plant: The plant with the nominal values.
+        plant: The plant with the nominal values and the interpolation of the rig.
         interpolation: Interpolation of the inputs between samples.
         fit: The section ``[fit]``.
         channels: The section ``[channels]``.
@@ -83,6 +83,12 @@ class Rig:
     text: str | None = None
     recording: ReadOptions = field(default_factory=ReadOptions)
     parameter_set: tuple[str, Path] | None = None
+
+    def __post_init__(self) -> None:
+        # The plant has the interpolation, too, so that it simulates alone as the rig does; that of the rig counts where
+        # either was replaced.
+        if self.plant.interpolation != self.interpolation:
+            object.__setattr__(self, "plant", replace(self.plant, interpolation=self.interpolation))
 
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {self.kind}, {self.fit.model}>"

@@ -64,7 +64,7 @@ def fit(
     settings: Settings,
     *,
     holdout: Sequence[Recording] = (),
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
     max_steps: int = MAX_STEPS,
     solver: Solver | None = None,
@@ -77,7 +77,7 @@ def fit(
         recordings: Training recordings.
         settings: Free parameters, bounds, observed channels, noise, starts and seed.
         holdout: Recordings that are only predicted.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
         max_steps: Most steps of the search.
         solver: Any optimistix least-squares solver or minimiser, which searches within the bounds by a transformation
@@ -100,6 +100,7 @@ def fit(
     check_solver(solver)
     if max_steps < 1:
         raise InputError(f"max_steps = {max_steps}: give a positive number of steps")
+    interpolation = interpolation or plant.interpolation
     simulation = {"holdout": holdout, "interpolation": interpolation, "step": step}
     require_channels(plant, recordings, settings.observe)
     parts = search_in_parts(fit_memory(plant, recordings, settings, **simulation), recordings[0].name)

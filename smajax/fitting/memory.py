@@ -104,7 +104,7 @@ def fit_memory(
     settings: Settings,
     *,
     holdout: Sequence[Recording] = (),
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
 ) -> FitMemory:
     """Compute the steps and the memory of a fit; nothing is simulated.
@@ -114,7 +114,7 @@ def fit_memory(
         recordings: Training recordings.
         settings: Free parameters, observed channels and starts.
         holdout: Recordings that are only predicted.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
     """
     counts = [count_steps(plant, r, interpolation=interpolation, step=step) for r in (*recordings, *holdout)]

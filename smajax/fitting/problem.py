@@ -253,7 +253,7 @@ def build_problem(
     recordings: Sequence[Recording],
     settings: Settings,
     *,
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
     multiple: int = 1,
 ) -> Problem:
@@ -263,7 +263,7 @@ def build_problem(
         plant: The plant with its start values.
         recordings: Recordings to fit to.
         settings: Free parameters, observed channels, bounds and noise.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
         multiple: Grids and samples are filled up to a multiple of this, so that recordings of similar length share a
             compiled program.

@@ -24,7 +24,7 @@ def simulate_responses(
     recordings: Sequence[Recording],
     roles: Sequence[str],
     channels: Sequence[str],
-    interpolation: str,
+    interpolation: str | None,
     step: float | None,
 ) -> tuple[list[Response], dict[str, float]]:
     """Simulate each recording with its plant, and measure the error of the time steps.
@@ -37,7 +37,7 @@ def simulate_responses(
         recordings: The recordings.
         roles: ``train`` or ``holdout`` for each recording.
         channels: Observed channels.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plants' default if not given.
 
     Returns:
@@ -62,7 +62,7 @@ def start_responses(
     observe: Sequence[str],
     *,
     holdout: Sequence[Recording] = (),
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
 ) -> list[Response]:
     """Simulate all recordings with the start values, as where a fit failed.
@@ -72,7 +72,7 @@ def start_responses(
         recordings: The training recordings.
         observe: Observed channels.
         holdout: The holdout recordings.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
 
     Returns:
@@ -88,7 +88,7 @@ def _discretisation_errors(
     plant: Plant,
     response: Response,
     channels: Sequence[str],
-    interpolation: str,
+    interpolation: str | None,
     step: float | None,
     lengths: tuple[int, int],
 ) -> dict[str, float]:

@@ -79,7 +79,7 @@ def transformation_gap(
     recordings: Sequence[Recording],
     *,
     holdout: Sequence[Recording] = (),
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
 ) -> TransformationGap | None:
     """Simulate recordings and find how far the wire is from transforming.
@@ -89,7 +89,7 @@ def transformation_gap(
         recordings: The recordings.
         holdout: Further recordings of the fit, which give the length of the grid only, so that the program is the one
             that simulates the responses of the fit.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plants' default if not given.
 
     Returns:

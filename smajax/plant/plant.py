@@ -55,6 +55,8 @@ class Plant(StepSolver):
         environment: ``Environment``: ambient temperature and gravity.
         initial: ``Initial``: temperature and fractions at the first row; by default as installed, at rest.
         sensor: ``Sensor``: gains and offsets of channels; by default each is read as it is.
+        interpolation: Electrical inputs between the samples of a recording: ``"hold"`` (the default) or ``"linear"``; a
+            plant of a rig file has that of the file.
     """
 
     @property

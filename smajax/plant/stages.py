@@ -36,6 +36,7 @@ from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
 
+INTERPOLATIONS = ("hold", "linear")
 # Recorded channels of the surroundings. A ``signal`` may have the first or both of them after the channels of
 # ``PlantStages.signals``; NaN stands for one that is not recorded.
 SURROUNDINGS = ("ambient", "fan")
@@ -58,6 +59,19 @@ _STAGE_CLASSES: dict[str, tuple[type[eqx.Module], str]] = {
 }
 
 
+def check_interpolation(interpolation: Any) -> None:
+    """Check that inputs between samples are held or linear.
+
+    Args:
+        interpolation: The name.
+
+    Raises:
+        InputError: If it is another one.
+    """
+    if interpolation not in INTERPOLATIONS:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
+
+
 class PlantStages(CellsAndGrains):
     """Parts of a plant, and the equations of its stages with their effects.
 
@@ -71,6 +85,7 @@ class PlantStages(CellsAndGrains):
         mechanism: Load of the wires.
         sensor: Gains and offsets of the sensors; by default every channel is read as it is.
         effects: Effects that are added to the stages.
+        interpolation: Electrical inputs between the samples of a recording: ``hold`` or ``linear``.
     """
 
     wire: AbstractWire
@@ -82,14 +97,17 @@ class PlantStages(CellsAndGrains):
     mechanism: AbstractMechanism
     sensor: Sensor = eqx.field(default_factory=lambda: Sensor.identity(()), kw_only=True)
     effects: tuple[AbstractEffect, ...] = ()
+    interpolation: str = eqx.field(static=True, default="hold", kw_only=True)
 
     def __check_init__(self) -> None:
         """Check the types of the stages, and what the methods of an own material or mechanism take and return.
 
         Raises:
             InputError: If a stage is of another type; the message names classes that it may be of. If a method takes
-                other arguments or returns another shape or type; the message names the class and the method.
+                other arguments or returns another shape or type; the message names the class and the method. If the
+                interpolation is unknown.
         """
+        check_interpolation(self.interpolation)
         if not isinstance(self.effects, tuple | list):
             raise InputError(
                 f"{type(self).__name__}: effects is of type {type(self.effects).__name__}: give a tuple, such as "

@@ -41,6 +41,7 @@ def diagnosis_document(
     simulations: int,
     wall_time: float,
     seed: int,
+    bench: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Build the document of a diagnosis.
 
@@ -53,10 +54,12 @@ def diagnosis_document(
         simulations: Number of simulations.
         wall_time: Duration, s.
         seed: Seed of all random numbers.
+        bench: Entries of what the recordings show about their bench.
     """
     rmse, noise_floor = _errors(diagnosis, recordings[0])
     document = {
         "schema": DiagnosisDocument.SCHEMA,
+        "bench": list(bench),
         "verdict": diagnosis.verdict,
         "effects": list(diagnosis.effects),
         "equivalent": {key: list(keys) for key, keys in diagnosis.equivalent.items()},
@@ -77,10 +80,7 @@ def diagnosis_document(
         "base_fit_at_rest": diagnosis.base_fit_converged,
         "goodness_of_fit": _goodness_of_fit(diagnosis),
         "stages": {stage: finite_or_none(share) for stage, share in diagnosis.stage_shares.items()},
-        "ranking": _ranking(diagnosis, recordings[0]),
-        "rejected": [{"key": r.key, "code": str(r.code), "why": rejection_text(r)} for r in diagnosis.rejected],
-        "excluded": [_excluded_entry(detectability) for detectability in diagnosis.excluded],
-        "preflight": [_detectability_entry(detectability) for detectability in diagnosis.detectability],
+        **_effect_tables(diagnosis, recordings[0]),
         "residual": _residuals(diagnosis, recordings[0]),
         "free_form": _nonparametric_entry(diagnosis.nonparametric_fit),
         "next_experiment": _next_experiment_entry(diagnosis),
@@ -91,6 +91,16 @@ def diagnosis_document(
     }
     document["summary"] = " ".join(sentences(document))
     return DiagnosisDocument.check(document)
+
+
+def _effect_tables(diagnosis: Diagnosis, recording: Recording) -> dict[str, Any]:
+    """Tables of all effects: ranking, rejected and excluded ones, and what the training input can show."""
+    return {
+        "ranking": _ranking(diagnosis, recording),
+        "rejected": [{"key": r.key, "code": str(r.code), "why": rejection_text(r)} for r in diagnosis.rejected],
+        "excluded": [_excluded_entry(detectability) for detectability in diagnosis.excluded],
+        "preflight": [_detectability_entry(detectability) for detectability in diagnosis.detectability],
+    }
 
 
 def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:

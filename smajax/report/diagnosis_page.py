@@ -6,18 +6,26 @@ from typing import Any
 from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.report import pages
 from smajax.report.diagnosis_figures import autocorrelation_picture, budget_picture, nonparametric_picture
-from smajax.report.diagnosis_summary import Document, sentences, significant
+from smajax.report.diagnosis_summary import (
+    Document,
+    in_usual_unit,
+    refit_error_unit,
+    sentences,
+    significant,
+    usual_unit,
+)
 from smajax.report.figures import Picture
 from smajax.report.prediction import Series, split_label
 from smajax.report.time_figures import time_picture
 
+_REFIT_ERROR = "error after refit"
 _EFFECT_HEAD = (
     "effect",
     "stage",
     "status",
     "strength ± 95 %",
     "unit",
-    "error after refit",
+    _REFIT_ERROR,
     "detectable from",
     "absorbed by, or why not",
 )
@@ -141,34 +149,47 @@ def _percent(share: float | None) -> str:
 def effects_section(doc: Document) -> list[str]:
     """Return the tables of all effects, of their parameters, and of the rejected and the excluded ones."""
     sections = ["<h2>Effects</h2>"]
-    sections.append(pages.table(_EFFECT_HEAD, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
+    unit, channel = refit_error_unit(doc), next(iter(doc["rmse"]))
+    head = [f"error after refit, {unit}" if cell == _REFIT_ERROR else cell for cell in _EFFECT_HEAD]
+    sections.append(pages.table(head, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
+    sections.append(
+        f"<p>Error after refit: RMSE of {pages.escape(channel)} on the selection recording, in {pages.escape(unit)}, "
+        "when the rig is fitted again to the training recording with this effect alone. The choice is by the errors on "
+        "both recordings together, in all channels.</p>"
+    )
     if parameters := doc.get("effect_parameters"):  # absent in documents of earlier versions
         sections.append(pages.table(_PARAMETER_HEAD, [_parameter_row(p) for p in parameters], numbers=(1, 2, 3)))
     if doc["rejected"]:
         rows = [(entry["key"], entry["why"]) for entry in doc["rejected"]]
         sections.append(pages.table(("rejected", "because it"), rows))
     if doc["excluded"]:
-        limits = [(e["key"], f"{e['above']:.3g}", pages.pretty_unit(e["unit"])) for e in doc["excluded"]]
+        limits = [
+            (e["key"], in_usual_unit(e["above"], e["unit"]), pages.pretty_unit(usual_unit(e["unit"])))
+            for e in doc["excluded"]
+        ]
         sections.append("<h2>Excluded effects</h2>")
         sections.append(pages.table(("effect", "excluded above", "unit"), limits, numbers=(1,)))
     return sections
 
 
 def _parameter_row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    cells = (significant(entry[key], 4) for key in ("value", "lower95", "upper95"))
+    unit = entry["unit"]
+    cells = (in_usual_unit(entry[key], unit, 4) for key in ("value", "lower95", "upper95"))
     note = entry["meaning"] if entry["lower95"] is not None else f"{entry['meaning']}; not determined"
-    plausible = " to ".join(significant(end) for end in entry.get("plausible") or ())
-    return (entry["name"], *cells, pages.pretty_unit(entry["unit"]), plausible, note)
+    plausible = " to ".join(in_usual_unit(end, unit) for end in entry.get("plausible") or ())
+    return (entry["name"], *cells, pages.pretty_unit(usual_unit(unit)), plausible, note)
 
 
 def _effect_row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    strength = significant(entry["strength"])
+    internal = entry["unit"]
+    strength = in_usual_unit(entry["strength"], internal)
     if entry["lower95"] is not None:
-        strength += f" ± {0.5 * (entry['upper95'] - entry['lower95']):.2g}"
-    errors = (significant(entry[k]) for k in ("refit_rmse_select", "smallest_detectable"))
+        # A difference: no unit of a strength has an offset.
+        strength += f" ± {in_usual_unit(0.5 * (entry['upper95'] - entry['lower95']), internal, 2)}"
+    error, detectable = significant(entry["refit_rmse_select"]), in_usual_unit(entry["smallest_detectable"], internal)
     reason = ", ".join(entry["absorbed_by"]) or entry["why"]
-    unit = pages.pretty_unit(entry["unit"])
-    return (entry["key"], entry["stage"], entry["status"], strength, unit, *errors, reason)
+    unit = pages.pretty_unit(usual_unit(internal))
+    return (entry["key"], entry["stage"], entry["status"], strength, unit, error, detectable, reason)
 
 
 def _detectability_section(doc: Document) -> list[str]:
@@ -176,8 +197,8 @@ def _detectability_section(doc: Document) -> list[str]:
         (
             entry["key"],
             entry["status"],
-            significant(entry["smallest_detectable"]),
-            pages.pretty_unit(entry["unit"]),
+            in_usual_unit(entry["smallest_detectable"], entry["unit"]),
+            pages.pretty_unit(usual_unit(entry["unit"])),
             ", ".join(entry["absorbed_by"]) or entry["why"],
         )
         for entry in doc["preflight"]

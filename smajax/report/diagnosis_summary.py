@@ -7,8 +7,13 @@ from smajax.diagnosis.candidates import AT_NOISE
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 from smajax.report.documents.diagnosis import STRUCTURE_KEYS
+from smajax.report.summary import bench_sentences
+from smajax.units import display_unit, from_si
 
 Document = Mapping[str, Any]
+
+# Effects with a smaller error than the one named that are explained; chosen to keep the text short.
+_RIVALS = 3
 
 
 def sentences(doc: Document) -> list[str]:
@@ -20,11 +25,12 @@ def sentences(doc: Document) -> list[str]:
     law, lines = _law_sentences(doc), _structure_sentences(doc)
     in_structure = {key for key in doc["effects"] if lines and key in STRUCTURE_KEYS}
     lines += [sentence for key in doc["effects"] if key not in in_structure for sentence in _effect_sentences(doc, key)]
-    lines = [*law, *lines, *_candidate_sentences(doc)]
+    lines = [*bench_sentences(doc), *law, *lines, *_candidate_sentences(doc)]
     if unexplained := _verdict_sentence(doc):
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
         lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
+    lines += rival_sentences(doc)
     lines += [f"{entry['text'][:1].upper()}{entry['text'][1:]}" for entry in doc.get("implausible", ())]
     lines += [_failure_sentence(entry) for entry in doc.get("failures", ())]
     lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
@@ -58,7 +64,8 @@ def text(doc: Document, folder: str = "") -> str:
         doc: The document diagnosis.json.
         folder: The result folder, which the last line names; empty for none.
     """
-    lines = [f"Verdict: {doc['verdict']}", "", *sentences(doc), ""]
+    bench = bench_sentences(doc)
+    lines = [*bench, *([""] if bench else []), f"Verdict: {doc['verdict']}", "", *sentences(doc)[len(bench) :], ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
     place = f"; all results in {folder}" if folder else ""
     lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s{place}")
@@ -73,6 +80,61 @@ def significant(value: float | None, digits: int = 3) -> str:
         digits: Number of significant digits.
     """
     return "-" if value is None else f"{value:.{digits}g}"
+
+
+def usual_unit(unit: str) -> str:
+    """Return the unit in which values of an internal unit are shown: mm for m, MJ/m^3 for J/m^3, none for 1."""
+    return "" if unit == "1" else display_unit(unit)
+
+
+def in_usual_unit(value: float | None, unit: str, digits: int = 3) -> str:
+    """Format a value in its usual unit, without the unit; a dash for ``None``.
+
+    Args:
+        value: The value in its internal unit.
+        unit: The internal unit.
+        digits: Number of significant digits.
+    """
+    shown = usual_unit(unit)
+    return significant(from_si(value, shown, unit) if shown and value is not None else value, digits)
+
+
+def refit_error_unit(doc: Document) -> str:
+    """Return the unit of the errors after refits: that of the first channel."""
+    return next(iter(doc["rmse"].values()))["unit"]
+
+
+def rival_sentences(doc: Document) -> list[str]:
+    """List sentences on effects that are not named although their error after a refit is smaller.
+
+    Args:
+        doc: The document diagnosis.json.
+    """
+    entries = {entry["key"]: entry for entry in doc["ranking"]}
+    errors = {key: entry.get("refit_rmse_select") for key, entry in entries.items()}
+    named = [key for key in doc["effects"] if errors.get(key) is not None]
+    if not named:
+        return []
+    best = min(named, key=lambda key: errors[key])
+    rivals = [key for key, error in errors.items() if error is not None and key not in doc["effects"]]
+    rivals = sorted((key for key in rivals if errors[key] < errors[best]), key=lambda key: errors[key])
+    unit = refit_error_unit(doc)
+    return [
+        f"{key} alone has a smaller error on the selection recording than {best} alone ({significant(errors[key])} "
+        f"against {significant(errors[best])} {unit}), and is not named: {_why_not_named(doc, key, best)}."
+        for key in rivals[:_RIVALS]
+    ]
+
+
+def _why_not_named(doc: Document, rival: str, named: str) -> str:
+    """Why an effect with a smaller error after its refit is not named."""
+    if any(rival in doc["equivalent"].get(key, ()) for key in doc["effects"]):
+        return "these recordings do not distinguish it from an effect that is"
+    rejected = next((entry["why"] for entry in doc["rejected"] if entry["key"] == rival), "")
+    if rejected:
+        return f"it {rejected}"
+    together = f", which the named effects reduce more together than with {rival}" if len(doc["effects"]) > 1 else ""
+    return f"the choice is by the error on training and selection recording together, in all channels{together}"
 
 
 def _structure_sentences(doc: Document) -> list[str]:
@@ -152,11 +214,12 @@ def _effect_sentences(doc: Document, key: str) -> list[str]:
 
 
 def _with_interval(value: float, entry: Document, digits: int = 3) -> str:
-    """A value with the unit of an entry, and the 95 % interval of the entry if it has one."""
-    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-    ends = (significant(entry[end], digits) for end in ("lower95", "upper95"))
+    """A value in the usual unit of an entry, and the 95 % interval of the entry if it has one."""
+    shown = usual_unit(entry["unit"])
+    unit = f" {shown}" * bool(shown)
+    ends = (in_usual_unit(entry[end], entry["unit"], digits) for end in ("lower95", "upper95"))
     interval = f" (95 %: {' to '.join(ends)}{unit})" if entry["lower95"] is not None else ""
-    return f"{significant(value, digits)}{unit}{interval}"
+    return f"{in_usual_unit(value, entry['unit'], digits)}{unit}{interval}"
 
 
 def _parameters(doc: Document, key: str) -> list[Document]:

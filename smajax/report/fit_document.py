@@ -7,6 +7,7 @@ import numpy as np
 
 from smajax import __version__, parameters
 from smajax.files.documents import finite_or_none
+from smajax.files.file_units import file_units
 from smajax.files.fit_settings import FitSettings
 from smajax.files.plausible_ranges import implausible_values, plausible_range
 from smajax.files.rig_file import Rig
@@ -14,6 +15,7 @@ from smajax.fitting.fit_warnings import transformation_notices
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.noise import quantisation_noise
 from smajax.fitting.result import Estimate, FitResult
+from smajax.fitting.transformation_check import needs_transformation
 from smajax.recordings.recording import Recording
 from smajax.report.document_entries import difference_unit, implausible_entry, recording_entry
 from smajax.report.documents.fit import FitDocument
@@ -29,6 +31,8 @@ def fit_document(
     settings: FitSettings,
     *,
     profiles: Mapping[str, Mapping[str, Any]] | None = None,
+    bench: Sequence[Mapping[str, Any]] = (),
+    failure: str = "",
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Build the document of a fit.
@@ -38,6 +42,8 @@ def fit_document(
         rig: The rig that was fitted.
         settings: The settings of the fit.
         profiles: Profile likelihoods by parameter, as ``smajax.fitting.profile.profile_likelihood`` returns them.
+        bench: Entries of what the recordings show about their bench.
+        failure: Why the fit is a failure although its search ended.
         warnings: Warnings as sentences.
     """
     failed = [
@@ -47,7 +53,7 @@ def fit_document(
     ]
     implausible = implausible_values(result.plant, [*result.problem.shared, *result.problem.per_recording])
     document = _head(rig, [r.recording for r in result.responses]) | {
-        "parameters": {e.name: estimate_entry(e) for e in result.estimates},
+        "parameters": _estimate_entries(result.estimates, rig),
         "fixed": _fixed_entries(rig, result.plant, result.problem.shared + result.problem.per_recording),
         **_channel_entries(result, settings),
         "indistinct": [
@@ -63,19 +69,14 @@ def fit_document(
             "matrix": [[finite_or_none(value) for value in row] for row in result.correlation],
         },
         "discretisation": _discretisation_entries(result, settings),
+        "transformation_temperatures": _transformation_temperatures(result),
         "profiles": {name: _profile_entry(profile) for name, profile in (profiles or {}).items()},
-        "solver": {
-            "code": result.status.name,
-            "text": result.status.text,
-            "steps": result.steps,
-            "simulations": result.simulations,
-            "wall_s": finite_or_none(result.wall_time),
-            "compile_s": finite_or_none(result.compile_time),
-            "starts": result.starts,
-            "starts_at_best": result.starts_at_best,
-        },
+        "solver": _solver_entry(result),
         "recordings": [recording_entry(r.recording, r.role) for r in result.responses],
-        "notices": transformation_notices(result),
+        "bench": list(bench),
+        "failure": failure,
+        # Where a clock or an input is in doubt, so is what the wire does at it.
+        "notices": [] if _has_doubtful_scale(bench) else transformation_notices(result),
         "warnings": [*failed, *warnings, *(value.sentence for value in implausible)],
         "implausible": [implausible_entry(value) for value in implausible],
         "seed": result.seed,
@@ -90,6 +91,7 @@ def failed_document(
     recordings: Sequence[tuple[Recording, str]],
     reason: str,
     *,
+    bench: Sequence[Mapping[str, Any]] = (),
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Build the document of a fit whose simulation failed at the start values.
@@ -99,6 +101,7 @@ def failed_document(
         settings: The settings of the fit.
         recordings: The recordings with their roles.
         reason: Reason of the failure.
+        bench: Entries of what the recordings show about their bench.
         warnings: Warnings as sentences.
     """
     free = _start_entries(rig, settings)
@@ -123,12 +126,58 @@ def failed_document(
             "starts_at_best": 0,
         },
         "recordings": [recording_entry(recording, role) for recording, role in recordings],
+        "bench": list(bench),
         "notices": [],
         "warnings": list(warnings),
         "seed": settings.seed,
         "smajax": __version__,
     }
     return FitDocument.check(document)
+
+
+def _solver_entry(result: FitResult) -> dict[str, Any]:
+    """How the search ended, and its effort."""
+    return {
+        "code": result.status.name,
+        "text": result.status.text,
+        "steps": result.steps,
+        "simulations": result.simulations,
+        "wall_s": finite_or_none(result.wall_time),
+        "compile_s": finite_or_none(result.compile_time),
+        "starts": result.starts,
+        "starts_at_best": result.starts_at_best,
+    }
+
+
+def _has_doubtful_scale(bench: Sequence[Mapping[str, Any]]) -> bool:
+    return any(entry["code"] in ("clock", "input") for entry in bench)
+
+
+def _transformation_temperatures(result: FitResult) -> dict[str, float | None]:
+    """Temperatures of the fitted law at zero stress, degC, if one of them or a shift of them is free."""
+    if not needs_transformation([*result.problem.shared, *result.problem.per_recording]):
+        return {}
+    law = result.plant.material
+    ends = {f"{phase}_{end}": phase for phase in ("martensite", "austenite") for end in ("start", "finish")}
+    return {
+        f"material.{name}": finite_or_none(float(getattr(law, name) + getattr(law, f"{phase}_shift")))
+        for name, phase in ends.items()
+    }
+
+
+def _estimate_entries(estimates: Iterable[Estimate], rig: Rig) -> dict[str, dict[str, Any]]:
+    """Entries of the free parameters by label, with the value and the unit of the rig file."""
+    declared = parameters.all_declarations(rig.plant)
+    units = file_units(rig, {name: declaration.unit for name, declaration in declared.items()})
+    entries = {}
+    for estimate in estimates:
+        name = estimate.name.partition("@")[0]
+        nominal = float(parameters.get(rig.plant, name))
+        entries[estimate.name] = estimate_entry(estimate) | {
+            "nominal": finite_or_none(nominal),
+            "file_unit": units.get(name),
+        }
+    return entries
 
 
 def estimate_entry(estimate: Estimate) -> dict[str, Any]:

@@ -16,11 +16,14 @@ Document = Mapping[str, Any]
 
 def _fit_sections(doc: Document) -> list[str]:
     """Errors, verdicts, parameters and remarks of a fit."""
+    bench = [_paragraph(sentence) for sentence in summary.bench_sentences(doc)]
     if doc["solver"]["code"] == "failed":
-        return [_paragraph(summary.headline(doc))]
+        return [*bench, _paragraph(summary.headline(doc))]
+    if doc.get("failure"):
+        bench.append(_paragraph(summary.capitalised(doc["failure"])))
     lead, verdicts = _paragraph(summary.headline(doc)), bullets(summary.verdicts(doc))
     notices = [_paragraph(notice) for notice in doc.get("notices", ())]
-    return [lead, *notices, rmse_table(doc), verdicts, parameter_table(doc), bullets(summary.remarks(doc))]
+    return [*bench, lead, *notices, rmse_table(doc), verdicts, parameter_table(doc), bullets(summary.remarks(doc))]
 
 
 def _diagnosis_sections(doc: Document) -> list[str]:

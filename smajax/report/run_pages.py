@@ -21,7 +21,6 @@ from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import Series
 from smajax.report.shown_values import format_value
 from smajax.report.time_figures import time_picture
-from smajax.units import as_text
 
 
 def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -38,7 +37,8 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     """
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
-    sections = [bullets(doc["notices"])] if doc.get("notices") else []
+    notices = [*summary.bench_sentences(doc), *doc.get("notices", ())]
+    sections = [bullets(notices)] if notices else []
     sections += [_verdict_section(doc), rmse_table(doc), "<h2>Parameters</h2>", parameter_table(doc)]
     sections.append(bullets(summary.remarks(doc)))
     sections.append("<h2>Measured against model</h2>")
@@ -98,7 +98,9 @@ def _verdict_section(doc: Mapping[str, Any]) -> str:
             "The simulation fails at the start values, so there is no fit: the numbers below are the values of the rig "
             "file."
         ]
-    bad = failed or any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
+    if doc.get("failure"):
+        sentences = [summary.capitalised(doc["failure"]), *sentences]
+    bad = failed or bool(doc.get("failure")) or any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
     return verdict_section(sentences, bad=bad)
 
 
@@ -111,17 +113,20 @@ def rmse_table(doc: Mapping[str, Any]) -> str:
 def parameter_table(doc: Mapping[str, Any]) -> str:
     """Return the table of the parameters of a fit."""
     rows = [
-        (name, estimate, low, high, pretty_unit(unit), plausible_text(doc["parameters"][name]), note)
-        for name, estimate, low, high, unit, note in summary.parameter_rows(doc)
+        (name, nominal, estimate, low, high, pretty_unit(unit), plausible_text(doc["parameters"][name]), note)
+        for name, nominal, estimate, low, high, unit, note in summary.parameter_rows(doc)
     ]
-    head = ("parameter", "estimate", "95 % from", "to", "unit", "an alloy can have", "")
-    return table(head, rows, numbers=(1, 2, 3), remark=6)
+    head = ("parameter", "nominal", "estimate", "95 % from", "to", "unit", "an alloy can have", "")
+    return table(head, rows, numbers=(1, 2, 3, 4), remark=7) + bullets(summary.temperature_sentences(doc))
 
 
 def plausible_text(entry: Mapping[str, Any]) -> str:
     """Return the plausible range of a parameter's entry; empty where there is none, as in earlier documents."""
     ends = entry.get("plausible") or ()
-    texts = ("" if end is None else as_text(float(f"{end:.4g}"), entry["unit"]) for end in ends)
+    texts = []
+    for end in ends:
+        value, _, _, unit = summary.readable(end, None, None, unit=entry["unit"], shown=entry.get("file_unit"))
+        texts.append("" if end is None else f"{value} {unit}".rstrip())
     return " to ".join(texts)
 
 

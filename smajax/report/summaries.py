@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from smajax.report import comparison, diagnosis_summary, properties, summary, sweep, tuning
+from smajax.report import comparison, diagnosis_summary, properties, simulation_summary, summary, sweep, tuning
 
 # Function of each command that formats its document, with a line on the result folder unless its name is empty.
 SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], str], str]] = {
@@ -13,7 +13,7 @@ SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], str], str]] = {
     "tune": tuning.text,
     "sweep": sweep.text,
     "properties": properties.text,
-    "simulate": summary.simulation_text,
+    "simulate": simulation_summary.text,
 }
 
 

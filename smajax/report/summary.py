@@ -1,7 +1,7 @@
 """Summary of a fit in sentences and tables, for a terminal and the head of the report.
 
 It needs the document ``fit.json`` only, so an old result folder can be summarised without its model. The module also
-has the summary of a simulation, and the text table that all summaries use.
+has the text table that all summaries use.
 """
 
 import enum
@@ -11,7 +11,6 @@ from textwrap import wrap
 from typing import Any, NamedTuple
 
 from smajax.files.documents import is_undetermined
-from smajax.report.shown_values import format_value
 from smajax.units import example_of, from_si
 
 Document = Mapping[str, Any]
@@ -79,20 +78,25 @@ def text(doc: Document, folder: str = "") -> str:
         doc: The document fit.json.
         folder: The result folder, which the last line names; empty for none.
     """
-    lines = [*wrap(headline(doc), _WIDTH), ""]
+    lines = [line for sentence in bench_sentences(doc) for line in [*wrap(sentence, _WIDTH), ""]]
+    if doc.get("failure"):  # absent in documents of earlier versions
+        lines += [*wrap(capitalised(doc["failure"]), _WIDTH), ""]
+    lines += [*wrap(headline(doc), _WIDTH), ""]
     for notice in doc.get("notices", ()):
         lines += [*wrap(notice, _WIDTH), ""]
     if doc["solver"]["code"] != "failed":
         lines += table([("channel", "RMSE train", "holdout", "noise floor", "train / floor"), *rmse_rows(doc)])
         lines += [*(line for s in verdicts(doc) for line in wrap(s, _WIDTH)), ""]
         rows = [
-            (name, estimate, f"{low} .. {high}" if low != "-" else "none", unit, note)
-            for name, estimate, low, high, unit, note in parameter_rows(doc)
+            (name, nominal, estimate, f"{low} .. {high}" if low != "-" else "none", unit, note)
+            for name, nominal, estimate, low, high, unit, note in parameter_rows(doc)
         ]
-        lines += table([("parameter", "estimate", "95 % interval", "unit", ""), *rows], right=(1, 2))
+        lines += table([("parameter", "nominal", "estimate", "95 % interval", "unit", ""), *rows], right=(1, 2, 3))
+        lines += [line for sentence in temperature_sentences(doc) for line in wrap(sentence, _WIDTH)]
     for name, profile in doc.get("profiles", {}).items():
         entry = doc["parameters"][name]
-        _, low, high, unit = readable(entry["estimate"], profile["lower95"], profile["upper95"], unit=entry["unit"])
+        ends = profile["lower95"], profile["upper95"]
+        _, low, high, unit = readable(entry["estimate"], *ends, unit=entry["unit"], shown=entry.get("file_unit"))
         lines.append(f"Profile likelihood of {name}: {low} .. {high} {unit} (95 %).")
     sentences = remarks(doc)
     if sentences:
@@ -103,6 +107,16 @@ def text(doc: Document, folder: str = "") -> str:
     if folder:
         lines += ["", f"Results: {folder}"]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def bench_sentences(doc: Document) -> list[str]:
+    """List sentences about what the recordings show about their bench, which come before any number."""
+    return [entry["text"] for entry in doc.get("bench", ())]  # absent in documents of earlier versions
+
+
+def capitalised(text: str) -> str:
+    """Return a text as a sentence with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def headline(doc: Document) -> str:
@@ -177,22 +191,42 @@ def rmse_rows(doc: Document) -> list[tuple[str, ...]]:
 
 
 def parameter_rows(doc: Document) -> list[tuple[str, ...]]:
-    """Return table rows of the free parameters: name, estimate, ends of the interval, usual unit, and remark."""
+    """Return table rows of the free parameters: name, nominal, estimate, ends of the interval, unit, and remark.
+
+    Units are those of the rig file, else the usual ones.
+    """
     rows = []
     for name, entry in doc["parameters"].items():
         if not entry["free"]:
             continue
-        if is_undetermined(entry):
-            estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"])
-            rows.append((name, estimate, "-", "-", unit, "not determined"))
+        units = {"unit": entry["unit"], "shown": entry.get("file_unit")}  # absent in documents of earlier versions
+        nominal = readable(entry.get("nominal"), None, None, **units)[0]
+        if is_undetermined(entry) and not doc.get("failure"):
+            estimate, _, _, unit = readable(entry["estimate"], None, None, **units)
+            rows.append((name, nominal, estimate, "-", "-", unit, "not determined"))
             continue
-        cells = readable(entry["estimate"], entry["lower95"], entry["upper95"], unit=entry["unit"])
-        rows.append((name, *cells, "at its bound" if entry["at_bound"] else ""))
+        cells = readable(entry["estimate"], entry["lower95"], entry["upper95"], **units)
+        rows.append((name, nominal, *cells, "at its bound" if entry["at_bound"] else ""))
     return rows
 
 
+_TEMPERATURES = {
+    "material.martensite_finish": "M_f",
+    "material.martensite_start": "M_s",
+    "material.austenite_start": "A_s",
+    "material.austenite_finish": "A_f",
+}
+
+
+def temperature_sentences(doc: Document) -> list[str]:
+    """Return a sentence on the transformation temperatures that result from the estimates; none without them."""
+    values = doc.get("transformation_temperatures") or {}  # absent in documents of earlier versions
+    shown = [f"{sign} {values[n]:.1f}" for n, sign in _TEMPERATURES.items() if values.get(n) is not None]
+    return [f"Transformation temperatures at zero stress that result: {', '.join(shown)} degC."] if shown else []
+
+
 def readable(
-    estimate: float | None, lower: float | None, upper: float | None, *, unit: str
+    estimate: float | None, lower: float | None, upper: float | None, *, unit: str, shown: str | None = None
 ) -> tuple[str, str, str, str]:
     """Format an estimate and its interval to two digits of the half width of the interval.
 
@@ -201,11 +235,12 @@ def readable(
         lower: Lower end of its 95 % interval; ``None`` for none.
         upper: Upper end; ``None`` for none.
         unit: Internal unit of all three.
+        shown: Unit in which they are shown; the usual one by default.
 
     Returns:
         The three numbers as text, a dash for ``None``, and the unit in which they are shown.
     """
-    shown = "" if unit == "1" else example_of(unit).split(maxsplit=1)[1]
+    shown = shown or ("" if unit == "1" else example_of(unit).split(maxsplit=1)[1])
     value, low, high = (
         None if v is None else (from_si(v, shown, unit) if shown else v) for v in (estimate, lower, upper)
     )
@@ -244,33 +279,6 @@ def collinear_sentences(doc: Document) -> list[str]:
     return sentences
 
 
-def simulation_text(run: Document, folder: str = "") -> str:
-    """Format the summary of a simulation for a terminal.
-
-    Args:
-        run: The document run.json.
-        folder: The result folder, which the last line names; empty for none.
-    """
-    recording = run["recordings"][0]
-    lines = [f"Simulated {recording['rows']:,} rows of {recording['name']} with {run['rig']}.", ""]
-    rows = [
-        (channel, *("-" if v is None else f"{v:.5g}" for v in (entry["lowest"], entry["highest"])), entry["unit"])
-        for channel, entry in run["channels"].items()
-    ]
-    lines += table([("channel", "lowest", "highest", "unit"), *rows], right=(1, 2))
-    if metrics := run.get("metrics"):
-        lines += ["", "Last cycle:"]
-        lines += table([(n, format_value(e["value"], e["unit"])) for n, e in metrics.items()], right=(1,))
-    lines += [
-        "",
-        *(f"- {recording['name']}: {note}." for note in recording["notes"]),
-        *(f"- {warning}" for warning in run["warnings"]),
-    ]
-    if folder:
-        lines.append(f"Results: {folder}")
-    return "\n".join(line.rstrip() for line in lines)
-
-
 def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> list[str]:
     """Format a table as lines with aligned columns.
 
@@ -305,7 +313,7 @@ def _round_to(value: float | None, half: float) -> str:
 
 
 def _undetermined_sentences(doc: Document) -> list[str]:
-    if doc["solver"]["code"] == "failed":
+    if doc["solver"]["code"] == "failed" or doc.get("failure"):
         return []
     names = [name for name, entry in doc["parameters"].items() if is_undetermined(entry)]
     return [_undetermined_sentence(name, doc["parameters"][name], doc.get("profiles", {}).get(name)) for name in names]
@@ -331,7 +339,8 @@ def _bound_sentences(doc: Document) -> list[str]:
     sentences = []
     for name, entry in doc["parameters"].items():
         if entry["at_bound"]:
-            estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"])
+            shown = entry.get("file_unit")
+            estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"], shown=shown)
             sentences.append(
                 f"{name} is at its bound, {estimate} {unit}".rstrip()
                 + ", and has no interval: widen the bound under [fit] bounds if the parameter can go beyond it; "

@@ -19,7 +19,7 @@ from smajax.errors import InputError, suggestion
 from smajax.numerics.precision import require_double
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
-from smajax.plant.stages import SURROUNDINGS
+from smajax.plant.stages import SURROUNDINGS, check_interpolation
 from smajax.recordings.recording import Recording
 from smajax.simulation.argument_checks import A_RECORDING, as_array, check_plant
 from smajax.simulation.step_size import default_step
@@ -34,7 +34,6 @@ _JUMP_SHARE = 0.05
 # Tolerance, as a share of a step, for the rounding of sample times, so that it does not cost an additional step: far
 # above rounding (1e-16).
 _ROUNDING = 1e-9
-_INTERPOLATIONS = ("hold", "linear")
 # Keeps a quotient finite for a constant input; near the smallest double-precision number, so it changes no other value.
 _TINY = 1e-300
 
@@ -187,7 +186,7 @@ def discretise(
     plant: Plant,
     recording: Recording,
     *,
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
     surroundings: tuple[str, ...] | None = None,
 ) -> Inputs:
@@ -203,8 +202,7 @@ def discretise(
         plant: The plant, which determines the signals.
         recording: The recording, which has a channel for each of the plant's signals. Without a clock it gets one step
             per row, since only the order of its rows matters.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``. A rig's own is
-            ``rig.interpolation``: pass it, since neither plant nor recording has it.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; ``default_step`` if not given.
         surroundings: Channels of the surroundings in the inputs (``recorded_surroundings``), so that inputs of several
             recordings have one shape; by default those of the recording.
@@ -218,7 +216,9 @@ def discretise(
     check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
     _check_rows(plant, recording)
-    _check_options(interpolation, step)
+    interpolation = _checked_interpolation(plant, interpolation)
+    if step is not None:
+        check_duration("discretise", "step", step)
     time = recording.time
     pieces = _steps_per_sample(plant, recording, interpolation, step)
     indices = np.concatenate([[0], np.cumsum(pieces)])
@@ -251,16 +251,19 @@ def _without_gaps(recording: Recording, name: str) -> np.ndarray:
     return np.interp(recording.time, recording.time[measured], values[measured]) if np.any(measured) else values
 
 
-def count_steps(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> int:
+def count_steps(
+    plant: Plant, recording: Recording, *, interpolation: str | None = None, step: float | None = None
+) -> int:
     """Count the steps in which ``discretise`` puts a recording, without making them.
 
     Args:
         plant: The plant.
         recording: The recording.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; ``default_step`` if not given.
     """
     _check_channels(plant, recording)
+    interpolation = _checked_interpolation(plant, interpolation)
     return int(np.sum(_steps_per_sample(plant, recording, interpolation, step)))
 
 
@@ -275,12 +278,12 @@ def _check_channels(plant: Plant, recording: Recording) -> None:
             )
 
 
-def _check_options(interpolation: str, step: float | None) -> None:
-    """Check the options of a grid."""
-    if interpolation not in _INTERPOLATIONS:
-        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
-    if step is not None:
-        check_duration("discretise", "step", step)
+def _checked_interpolation(plant: Plant, interpolation: str | None) -> str:
+    """Return the interpolation that was given, else that of the plant, after a check."""
+    if interpolation is None:
+        return plant.interpolation
+    check_interpolation(interpolation)
+    return interpolation
 
 
 def _check_rows(plant: Plant, recording: Recording) -> None:

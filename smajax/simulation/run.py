@@ -221,8 +221,8 @@ def simulate(
         plant: The plant; its effects of strength 0 are left out, unless the strength is traced.
         inputs: The inputs on a grid (``discretise``), or a recording that gives them. With a recording the grid is made
             here, which a plant under ``jax.jit`` or ``jax.vmap`` allows only with ``step``.
-        interpolation: Electrical inputs of a recording between its samples: ``hold`` (the default) or ``linear``. A
-            rig's own is ``rig.interpolation``: pass it, since neither plant nor recording has it.
+        interpolation: Electrical inputs of a recording between its samples: ``hold`` or ``linear``; by default that of
+            the plant, which is that of its rig file.
         step: Longest step in s for a recording; ``default_step`` if not given.
         solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
             adaptive step size, in place of the implicit step: a second opinion. Not every plant has one. A solver
@@ -268,7 +268,7 @@ def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | No
     takes = f"Inputs, as discretise returns them, or {A_RECORDING}"
     check_type(name, "inputs", inputs, Inputs | Recording, takes)
     if isinstance(inputs, Recording):
-        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
+        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation, step=step)
     elif step is not None or interpolation is not None:
         raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
     require_double(inputs=inputs)

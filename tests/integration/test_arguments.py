@@ -25,8 +25,10 @@ SENTENCES = {
     "sma.fit(rig, train, start=3)": "start is of type int: give the path of a parameter set, such as the fit.toml "
     "of an earlier fit",
     "sma.fit(rig, train, progress=3)": "progress is of type int: give a function that takes a ProgressEvent, or None",
-    "sma.diagnose(rig, train, select=None, holdout=train)": "select: a recording cannot be read from an object of type "
-    f"NoneType: {A_SOURCE}",
+    "sma.diagnose(rig, train, select=None, holdout=train)": "diagnose: select is missing: give --select (select=), or "
+    "--split (split=True) to cut one recording",
+    "sma.diagnose(rig, train, select=3, holdout=train)": "select: a recording cannot be read from an object of type "
+    f"int: {A_SOURCE}",
     "sma.diagnose(rig, train, select=train, holdout=train, seed=[1])": "diagnose: seed = [1] is not possible: give a "
     "whole number from 0 to 4294967295",
     "sma.compare(rig, train, holdout=train, models=3)": "compare: models = 3 is not possible: give a list of names",

@@ -19,8 +19,9 @@ from smajax.app.console import CommandProgress
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
 from smajax.files import actuator_file
-from smajax.files.parameter_sets import read_header, read_parameters
+from smajax.files.parameter_sets import read_header, read_parameters, shipped_sets
 from smajax.files.rig_file import read_rig
+from smajax.plant.effects import catalogue
 from smajax.progress import Progress, ProgressEvent
 from smajax.recordings import datasets, read
 from smajax.recordings.recording import Recording
@@ -145,6 +146,8 @@ def test_help_names_every_command_and_its_options():
         "init",
         "import",
         "check",
+        "effects",
+        "sets",
         "report",
         "datasets",
     ):
@@ -162,6 +165,7 @@ def test_help_names_every_command_and_its_options():
         "--json",
         "--no-open",
         "--profile",
+        "--auto",
     ):
         assert option in options
     assert smajax("--version").stdout == "smajax 0.2.0\n"
@@ -529,6 +533,43 @@ def test_check_describes_the_fit(bench):
     assert "Fitted and scored: displacement; needed in a recording: current." in text
     assert "train.csv: 400 rows, 19.95 s, sample time 0.05 s" in text
     assert "current [mA] (input), displacement [mm] (observed)" in text
+
+
+def test_check_reads_controllers_and_sweeps_and_lists_effects(tmp_path):
+    assert smajax("init", "dead-weight", "--out", tmp_path).exit_code == 0
+    rig, controller, sweep = (tmp_path / f"{name}.toml" for name in ("example", "controller", "sweep"))
+    text = rig.read_text("utf-8").replace("[fit]", '[effects.latent-heat]\nstrength = "80 MJ/m^3"\n\n[fit]', 1)
+    rig.write_text(text, "utf-8")
+    whole = smajax("check", rig, tmp_path / "example.csv", controller, sweep)
+    assert whole.exit_code == 0, whole.output
+    assert "Effects in the model: latent-heat (80 MJ/m^3)." in whole.stdout
+    assert "Effects that it could have" in whole.stdout and "backlash" in whole.stdout
+    assert "controller.toml: PID of displacement, every 20 ms, for example.toml" in whole.stdout
+    assert re.search(r"^ +kp +30 +A/m +0.3 .. 3000$", whole.stdout, re.MULTILINE)
+    assert "sweep.toml: 1,024 designs of example.toml" in whole.stdout
+    assert "peak_temperature at most 120 degC" in whole.stdout
+    alone = smajax("check", sweep)
+    assert alone.exit_code == 0 and "wire.diameter     0.1 mm .. 0.3 mm" in alone.stdout
+    controller.write_text(controller.read_text("utf-8").replace("kp = ", "kpp = ", 1), "utf-8")
+    assert "kpp" in sentence(smajax("check", rig, controller), 2)
+    sweep.write_text(sweep.read_text("utf-8").replace("wire.diameter", "wire.diametre", 1), "utf-8")
+    assert "wire.diametre" in sentence(smajax("check", rig, sweep), 2)
+    assert "write smajax check RIG" in sentence(smajax("check", controller), 2)
+
+
+def test_effects_and_sets_are_listed_with_units_sizes_and_sources():
+    effects = smajax("effects").stdout
+    for key, effect in catalogue().items():
+        assert re.search(rf"^{key} +{effect.stage} ", effects, re.MULTILINE), key
+    assert re.search(r"^latent-heat +heat +150 MJ/m\^3 +Flexinol data sheet", effects, re.MULTILINE)
+    single = smajax("effects", "backlash").stdout
+    assert "effects.backlash.strength" in single and "Source of the typical strength" in single
+    assert "did you mean 'backlash'" in sentence(smajax("effects", "backlsh"), 2)
+    sets = smajax("sets").stdout
+    assert all(f"\n{name}: " in f"\n{sets}" for name in shipped_sets())
+    values = smajax("sets", "flexinol").stdout
+    assert re.search(r"^heat.capacity +5.40123 MJ/m\^3/K +- +Dynalloy F1140", values, re.MULTILINE)
+    assert "did you mean 'flexinol'" in sentence(smajax("sets", "flexinoll"), 2)
 
 
 def test_bad_rows_are_dropped_on_request_only_and_counted(bench, tmp_path):

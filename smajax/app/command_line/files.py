@@ -1,4 +1,4 @@
-"""The commands demo, init, check, report and datasets."""
+"""The commands demo, init, check, effects, sets, report and datasets."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from smajax.app.command_line.options import Open, Quiet, RigFile
+from smajax.app.command_line.options import Auto, Open, Quiet
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
 from smajax.errors import InputError
@@ -89,19 +89,41 @@ def init(
 
 @with_reading
 def check(
-    rig: RigFile,
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml), or a sweep file.")],
     recordings: Annotated[
-        list[Path] | None, typer.Argument(metavar="[RECORDING ...]", help="Recordings of this rig.")
+        list[Path] | None,
+        typer.Argument(metavar="[FILE ...]", help="Recordings of this rig, its controllers and its sweeps."),
     ] = None,
+    auto: Auto = False,
     reading: Reading = NO_CHANGES,
 ) -> None:
-    """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
+    """Read and validate a rig, its recordings, controllers and sweeps; say what would be fitted, and run nothing."""
     from smajax.numerics.process import prepare_jax
 
     prepare_jax()  # the program that looks for a transformation is cached for the fit
     from smajax.app.commands.check import describe
 
-    typer.echo(describe(rig, recordings or [], reading))
+    typer.echo(describe(rig, recordings or [], reading, auto))
+
+
+def effects(
+    key: Annotated[str | None, typer.Argument(metavar="[KEY]", help="The effect to describe; all by default.")] = None,
+) -> None:
+    """List the effects that a rig can have: keys, units, usual strengths, sources; or describe one."""
+    from smajax.app.commands.catalogues import effects_text
+
+    typer.echo(effects_text(key))
+
+
+def sets(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="The set whose values are listed; all sets by default.")
+    ] = None,
+) -> None:
+    """List the shipped parameter sets, or the values of one: keys, units, sizes, sources."""
+    from smajax.app.commands.catalogues import sets_text
+
+    typer.echo(sets_text(name))
 
 
 def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:

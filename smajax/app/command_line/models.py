@@ -9,12 +9,14 @@ from typer.core import TyperCommand
 from smajax.app.command_line.options import (
     DEFAULT_MAX_STEPS,
     MAX_STEPS,
+    Auto,
     Json,
     Open,
     Out,
     Quiet,
     RigFile,
     Seed,
+    Split,
     Start,
     TrainFile,
 )
@@ -89,6 +91,8 @@ def fit(
     profile: Annotated[
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
     ] = None,
+    auto: Auto = False,
+    split: Split = False,
     reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -109,6 +113,8 @@ def fit(
             starts=starts,
             max_steps=max_steps,
             profile=profile or (),
+            auto=auto,
+            split=split,
             progress=progress,
         )
         study.save(out, argv=argv())
@@ -119,14 +125,17 @@ def fit(
 def diagnose(
     rig: RigFile,
     train: TrainFile,
+    out: Out,
     select: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--select", metavar="S.csv", help="Another input: an effect is added if it lowers the error here."
         ),
-    ],
-    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, used once, at the end.")],
-    out: Out,
+    ] = None,
+    holdout: Annotated[
+        Path | None, typer.Option("--holdout", metavar="H.csv", help="A third input, used once, at the end.")
+    ] = None,
+    split: Split = False,
     start: Start = None,
     seed: Seed = None,
     laws: Annotated[
@@ -150,6 +159,7 @@ def diagnose(
             start=start,
             seed=seed,
             laws=laws,
+            split=split,
             progress=progress,
         )
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
@@ -159,8 +169,11 @@ def diagnose(
 def compare(
     rig: RigFile,
     train: TrainFile,
-    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
     out: Out,
+    holdout: Annotated[
+        Path | None, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")
+    ] = None,
+    split: Split = False,
     models: Annotated[
         str | None, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")
     ] = None,
@@ -178,7 +191,13 @@ def compare(
 
         check_output_folder(out)
         study = compare_models(
-            rig_with_reading(rig, reading), train, holdout=holdout, models=names, seed=seed, progress=progress
+            rig_with_reading(rig, reading),
+            train,
+            holdout=holdout,
+            models=names,
+            seed=seed,
+            split=split,
+            progress=progress,
         )
         study.save(out, argv=argv())
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)

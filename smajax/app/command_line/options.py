@@ -27,3 +27,8 @@ Start = Annotated[
     Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")
 ]
 TrainFile = Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")]
+Auto = Annotated[bool, typer.Option("--auto", help="Fit an offset of a sensor that the recordings show, too.")]
+Split = Annotated[
+    bool,
+    typer.Option("--split", help="Cut the only recording into parts for training, selection and holdout."),
+]

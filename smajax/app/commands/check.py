@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
+from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
+from smajax.app.commands.check_files import describe_controller, describe_sweep, kind_of_file
 from smajax.channels import channel_unit
 from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
@@ -20,7 +23,10 @@ from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.fitting.memory import fit_memory, free_memory
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
+from smajax.parameters import declarations
+from smajax.plant.effects import catalogue
 from smajax.plant.materials.dissipation import check_dissipation
+from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
 from smajax.report.summary import table
 from smajax.simulation.step_size import default_step
@@ -28,17 +34,25 @@ from smajax.units import as_text
 
 # Relative range of the sample times up to which the text calls them equal. Chosen by trial.
 _EVEN = 1e-3
+# Width of the text in columns of a terminal.
+_WIDTH = 110
 # Relative difference between a step and the sample time that counts as rounding.
 _ROUNDING = 1e-9
 
 
-def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Describe a rig file, or an actuator file, and recordings of the rig.
+def describe(
+    path: Path,
+    recordings: Sequence[Path],
+    reading: Mapping[str, Any] = MappingProxyType({}),
+    auto: bool = False,
+) -> str:
+    """Describe a rig, actuator or sweep file, and recordings and controllers of the rig.
 
     Args:
-        path: The rig or actuator file.
-        recordings: Recordings of the rig.
+        path: The rig, actuator or sweep file.
+        recordings: Recordings of the rig, and its controller and sweep files.
         reading: Options of ``ReadOptions`` by name, in place of those of the rig.
+        auto: Whether the rig is described as a fit with ``--auto`` would take it.
 
     Returns:
         The text that the command prints.
@@ -47,39 +61,65 @@ def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] 
         InputError: For the first mistake in a file, or for recordings of an actuator.
     """
     text = read_text(path, "rig")
-    if is_actuator(text):
+    kind = kind_of_file(path)
+    if kind == "sweep":
+        lines = describe_sweep(path)
+        if recordings:
+            raise InputError(f"{path}: a sweep needs no recording: remove {recordings[0]} from the command line")
+    elif kind == "controller":
+        raise InputError(f"{path}: a controller is checked for its rig: write smajax check RIG {path}")
+    elif is_actuator(text):
         lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
     else:
         rig = read_rig(path).with_read_options(**reading)
-        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings)])
+        others = {file: kind_of_file(file) for file in recordings if file.suffix == ".toml"}
+        data = [file for file in recordings if file not in others]
+        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, data)], auto)
+        for file, kind in others.items():
+            lines += ["", *_describe_other(file, kind, rig)]
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+def _describe_other(file: Path, kind: str, rig: Rig) -> list[str]:
+    """Describe a file next to a rig that is no recording."""
+    if kind == "rig":
+        raise InputError(f"{file}: this is a rig, and one is checked at a time: write smajax check {file}")
+    return describe_controller(file, rig) if kind == "controller" else describe_sweep(file)
+
+
+def _describe_rig(rig: Rig, recordings: Sequence[Recording], auto: bool) -> list[str]:
+    findings = rig_findings(rig, recordings)
+    rig = with_free_offsets(rig, findings) if auto else rig
     control = rig.plant.drive.control
     heated = ", heated as its temperature is recorded" if rig.kind != "path" else ""
     drive = f", driven by {control} ({rig.interpolation} between samples)" if control else heated
-    lines = [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
+    lines = [line for entry in bench_entries(findings, auto) for line in (entry["text"], "")]
+    lines += [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
     lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}
     observed = ", ".join(f"{c} (noise {noises[c]})" if c in noises else c for c in rig.fit.observe)
     lines += ["", f"Fitted and scored: {observed}; needed in a recording: {', '.join(rig.plant.signals)}."]
+    lines += _effects(rig)
     lines.append(f"A fit begins at {rig.fit.starts} point{'s' * (rig.fit.starts != 1)}, seed {rig.fit.seed}.")
     lines += [f"Note: {note}." for note in (*rig.notes, latent_heat_note(rig.plant, rig.fit)) if note]
     lines += [f"Note: {note}" for note in check_dissipation(rig.plant, [r.channels for r in recordings])]
     for recording in recordings:
         lines += ["", *_describe_recording(rig, recording)]
     if recordings and rig.fit.names:
-        lines += ["", *_describe_fit(rig, recordings)]
+        is_scaled = not any(finding.code in ("clock", "input") for finding in findings)
+        lines += ["", *_describe_fit(rig, recordings, is_scaled)]
     return lines
 
 
-def _describe_fit(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
-    """Return the steps and the memory of a fit, and a notice where the rig's own values transform nothing."""
+def _describe_fit(rig: Rig, recordings: Sequence[Recording], is_scaled: bool) -> list[str]:
+    """Return the steps and the memory of a fit, and a notice where the rig's own values transform nothing.
+
+    The notice is left out where the scale of the input or the clock is in doubt.
+    """
     settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
     memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
     lines = [memory.sentence()]
-    if needs_transformation(rig.fit.names) and memory.others < free_memory():
+    if is_scaled and needs_transformation(rig.fit.names) and memory.others < free_memory():
         plants = [rig.plant] * len(recordings)
         gap = transformation_gap(plants, recordings, interpolation=rig.interpolation)
         lines += [] if gap is None else [f"Note: {gap.sentence(recordings, 'the values of this rig')}"]
@@ -100,6 +140,17 @@ def _describe_actuator(actuator: AbstractActuator, path: Path, recordings: Seque
     lines = [f"{path.name}: {kind_of(actuator)}, an actuator, whose metrics need no recording", ""]
     lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Metrics: {metrics}."]
     return [*lines, "A sweep varies the parameters and computes the metrics."]
+
+
+def _effects(rig: Rig) -> list[str]:
+    """Return lines on the effects of a rig, and on those that it could have."""
+    own = [f"{e.key} ({as_text(float(e.strength), declarations(type(e))['strength'].unit)})" for e in rig.plant.effects]
+    capabilities = rig.plant.capabilities((*rig.fit.observe, *SURROUNDINGS))
+    present = {effect.key for effect in rig.plant.effects}
+    others = [k for k, e in catalogue().items() if k not in present and not e.unavailable_reason(capabilities)]
+    lines = [f"Effects in the model: {', '.join(own) or 'none'}."]
+    sentence = f"Effects that it could have, described by 'smajax effects KEY': {', '.join(others)}."
+    return [*lines, *(wrap(sentence, _WIDTH, subsequent_indent="  ", break_on_hyphens=False) if others else ())]
 
 
 def _free_parameters(rig: Rig) -> list[str]:

@@ -31,7 +31,9 @@ _ROUNDING = 1e-6
 _UNITS = {"voltage": "V", "current": "A", "temperature": "K", "displacement": "m", "angle": "rad"}
 
 
-def build_sensor(section: SensorSection, unit: str, period: float, place: str) -> SensorModel:
+def build_sensor(
+    section: SensorSection, unit: str, period: float, place: str, default_noise: float = 0.0
+) -> SensorModel:
     """Build a sensor from its section.
 
     Args:
@@ -39,11 +41,12 @@ def build_sensor(section: SensorSection, unit: str, period: float, place: str) -
         unit: Unit of noise and quantum.
         period: Period of the controller, s.
         place: Section of the file, for error messages.
+        default_noise: Noise where the section gives none.
 
     Raises:
         InputError: for a wrong quantity, or a delay that is too long or not a whole number of periods.
     """
-    noise = optional_quantity(section.noise, unit, f"{place}.noise")
+    noise = default_noise if section.noise is None else optional_quantity(section.noise, unit, f"{place}.noise")
     quantum = optional_quantity(section.quantum, unit, f"{place}.quantum")
     periods = optional_quantity(section.delay, "s", f"{place}.delay") / period
     if periods > _MAX_DELAY:

@@ -231,7 +231,7 @@ def _loop(
 ) -> tuple[ClosedLoop, dict[str, str]]:
     """The closed loop with its start gains, and the unit of each; ``sampling`` is period, wires and output limits."""
     period, wires, (lower, upper) = sampling
-    sensors = read_sensors(data, rig, (units.command, units.difference), period, max(upper, -lower))
+    sensors = read_sensors(data, rig, units.channel, (units.command, units.difference), period, max(upper, -lower))
     controller = _controller(data["controller"], head, period, (lower, upper))
     loop = ClosedLoop(controller, **sensors._asdict(), channel=units.channel)
     try:

@@ -48,13 +48,14 @@ class LoopSensors(NamedTuple):
 
 
 def read_sensors(
-    data: Mapping[str, Any], rig: Rig, units: tuple[str, str], period: float, max_command: float
+    data: Mapping[str, Any], rig: Rig, channel: str, units: tuple[str, str], period: float, max_command: float
 ) -> LoopSensors:
     """Read the sections on measurements.
 
     Args:
         data: Sections of the file by name.
-        rig: The rig.
+        rig: The rig, whose noise of the channel counts where [sensor] gives none.
+        channel: The controlled channel.
         units: Unit of the command, and of differences of the channel.
         period: Period of the controller, s.
         max_command: Largest command of a wire, internal unit.
@@ -63,11 +64,14 @@ def read_sensors(
         InputError: for a wrong key or value, a missing section, or one that nothing uses.
     """
     command_unit, difference = units
-    sensor = build_sensor(validate(SensorSection, data.get("sensor", {}), "sensor"), difference, period, "sensor")
     limiter = None
     if "temperature_limiter" in data:
         limiter = _temperature_limiter(data["temperature_limiter"], rig, command_unit, period, max_command)
     section = read_estimator_section(data["estimator"], limiter) if "estimator" in data else None
+    measured = section is None or not section.use_estimate
+    default_noise = rig.fit.noise.get(channel, 0.0) if measured else 0.0
+    sensor_section = validate(SensorSection, data.get("sensor", {}), "sensor")
+    sensor = build_sensor(sensor_section, difference, period, "sensor", default_noise)
     if section is None or section.kind == "thermal":
         observer = None if section is None or limiter is None else build_thermal_observer(section, rig, limiter, period)
         instruments = None

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from smajax.report.documents.base import Document, Ends, Number, Part
-from smajax.report.documents.parts import ImplausibleEntry, NoiseEntry, RecordingEntry, Stage
+from smajax.report.documents.parts import BenchEntry, ImplausibleEntry, NoiseEntry, RecordingEntry, Stage
 
 RejectionCode = Literal[
     "chance",
@@ -285,6 +285,9 @@ class DiagnosisDocument(Document):
     EARLIER: ClassVar[tuple[str, ...]] = ("smajax.diagnosis/1",)
 
     schema_name: Literal["smajax.diagnosis/2"] = Field(alias="schema", description="name and version of the schema")
+    bench: list[BenchEntry] = Field(
+        [], description="what the recordings show about their bench; absent in earlier documents"
+    )
     verdict: Literal["named", "named-up-to-class", "partial", "unresolved", "nothing-missing"] = Field(
         description="whether effects explain the residual"
     )

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from smajax.report.documents.base import Document, Ends, Number, Part
-from smajax.report.documents.parts import ChannelValue, ImplausibleEntry, NoiseEntry, RecordingEntry
+from smajax.report.documents.parts import BenchEntry, ChannelValue, ImplausibleEntry, NoiseEntry, RecordingEntry
 
 
 class ParameterEntry(Part):
@@ -20,6 +20,13 @@ class ParameterEntry(Part):
     bounds: Ends = Field(description="lower and upper bound, in the unit; null for none")
     plausible: Ends | None = Field(
         None, description="what an alloy can have, in the unit; null where no range is known, or in earlier documents"
+    )
+    nominal: Number = Field(
+        None, description="value at which the fit began, in the unit; null if it is derived, or in earlier documents"
+    )
+    file_unit: str | None = Field(
+        None,
+        description="unit of the rig file, in which texts show it; null where it has none, or in earlier documents",
     )
 
     @property
@@ -145,9 +152,22 @@ class FitDocument(Document):
     discretisation: dict[str, ChannelValue] = Field(
         description="RMS change of the model on the first recording when all time steps are halved, by observed channel"
     )
+    transformation_temperatures: dict[str, Number] = Field(
+        default_factory=dict,
+        description="transformation temperatures at zero stress that result from the estimates, degC, by parameter "
+        "name; empty where none is free, absent in earlier documents",
+    )
     profiles: dict[str, ProfileEntry] = Field(description="requested profile likelihoods by parameter")
     solver: SolverEntry = Field(description="how the search ended, and its effort")
     recordings: list[RecordingEntry] = Field(min_length=1, description="training and holdout recordings")
+    bench: list[BenchEntry] = Field(
+        [], description="what the recordings show about their bench, before any number; absent in earlier documents"
+    )
+    failure: str = Field(
+        "",
+        description="why the fit is a failure although its search ended, in words, so that its estimates have no "
+        "intervals; empty for others, absent in earlier documents",
+    )
     notices: list[str] = Field(
         default_factory=list, description="sentences that come before all others, such as that nothing transforms"
     )

@@ -19,6 +19,15 @@ class RecordingEntry(Part):
     notes: list[str] = Field(description="repairs and assumptions when it was read")
 
 
+class BenchEntry(Part):
+    """What recordings show about their bench: a clock, a unit, a sign or an offset that is not the rig's."""
+
+    code: Literal["offset", "sign", "unit", "input", "clock"] = Field(description="what is doubtful")
+    channel: str = Field(description="channel that it is about; time for the clock")
+    recordings: list[str] = Field(description="names of the recordings that show it")
+    text: str = Field(description="the finding and its cure in a sentence")
+
+
 class ChannelValue(Part):
     """A value of a channel."""
 

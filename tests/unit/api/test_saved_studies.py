@@ -113,6 +113,7 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
                 "start": Path("fit.toml"),
                 "seed": 3,
                 "laws": True,
+                "split": False,
             },
         ),
         "tune": ((Path("rig.toml"), Path("controller.toml")), {"seed": 3}),

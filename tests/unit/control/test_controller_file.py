@@ -161,3 +161,20 @@ def test_recordings_of_a_controller_are_read_with_the_options_of_the_rig(rig, tm
     np.testing.assert_allclose(np.asarray(content.scenario.reference)[:4], [0.0, 1e-3, 2.5e-3, 1.5e-3], rtol=1e-12)
     with pytest.raises(InputError, match="log.csv: row 1"):
         read_controller(tmp_path / "controller.toml", rig)
+
+
+@pytest.mark.parametrize(
+    ("section", "noise"),
+    [("", 2e-5), ('[sensor]\nquantum = "1 um"\n', 2e-5), ('[sensor]\nnoise = "5 um"\n', 5e-6)],
+)
+def test_the_sensor_has_the_noise_of_the_rig_where_the_controller_gives_none(rig, tmp_path, section, noise):
+    text = CURRENT.split("[temperature_limiter]")[0] + section
+    (tmp_path / "controller.toml").write_text(text)
+    noisy = dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, noise={"displacement": 2e-5}))
+    assert float(read_controller(tmp_path / "controller.toml", noisy).loop.sensor.noise) == pytest.approx(noise)
+
+
+def test_a_controller_that_takes_an_estimate_gets_no_noise_of_a_sensor(rig, tmp_path):
+    (tmp_path / "controller.toml").write_text(CURRENT)
+    noisy = dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, noise={"displacement": 2e-5}))
+    assert float(read_controller(tmp_path / "controller.toml", noisy).loop.sensor.noise) == 0.0

@@ -10,7 +10,9 @@ import pytest
 
 from smajax import parameters
 from smajax.errors import DerivativeError, InputError, NumericsError
+from smajax.files.rig_file import read_rig
 from smajax.plant.wire import Wire
+from smajax.recordings.datasets import data_path
 from smajax.simulation.inputs import discretise
 from smajax.simulation.plant_functions import init, observe, step
 from smajax.simulation.run import simulate
@@ -18,6 +20,7 @@ from smajax.simulation.status import SimulationStatus
 from tests.support import plants
 
 STEPS = 20
+DEAD_WEIGHT = data_path("recordings", "dead-weight")
 DT = 0.05
 
 
@@ -192,6 +195,25 @@ def test_options_that_do_not_apply_are_refused(plant, inputs):
 
 
 @pytest.mark.parametrize("function", [simulate, discretise])
-def test_the_help_names_the_interpolation_of_a_rig_and_how_to_differentiate_in_the_inputs(function):
-    text = function.__doc__
-    assert "``rig.interpolation``" in text and "``Inputs.scale``" in text
+def test_the_help_says_how_to_differentiate_in_the_inputs(function):
+    assert "``Inputs.scale``" in function.__doc__
+
+
+def test_a_plant_of_a_rig_simulates_a_recording_as_its_rig_does():
+    linear = read_rig(DEAD_WEIGHT / "rig.toml")
+    recording = linear.read(DEAD_WEIGHT / "train.csv").slice(0.0, 6.0)
+    assert linear.interpolation == linear.plant.interpolation == "linear"
+    held = dataclasses.replace(linear, interpolation="hold")
+    for rig in (linear, held):
+        whole = simulate(rig.plant, recording, interpolation=rig.interpolation)
+        alone = simulate(rig.plant, recording)
+        by_hand = simulate(rig.plant, discretise(rig.plant, recording))
+        for response in (alone, by_hand):
+            np.testing.assert_array_equal(response.channels["displacement"], whole.channels["displacement"])
+    motions = [simulate(rig.plant, recording).channels["displacement"] for rig in (linear, held)]
+    assert np.max(np.abs(motions[0] - motions[1])) > 1e-6
+    # A plant of another origin takes the interpolation of the rig that it is put into.
+    other = dataclasses.replace(linear, plant=dataclasses.replace(linear.plant, interpolation="hold"))
+    assert other.plant.interpolation == "linear"
+    with pytest.raises(InputError, match="interpolation = 'cubic' is not known: it is 'hold' or 'linear'"):
+        dataclasses.replace(linear.plant, interpolation="cubic")

@@ -1,0 +1,115 @@
+"""Jobs of ``smajax effects`` and ``smajax sets``: effects and parameter sets with keys, units, sizes and sources."""
+
+import inspect
+import math
+from pathlib import Path
+from textwrap import wrap
+
+from smajax.errors import InputError, suggestion
+from smajax.files.parameter_sets import Entry, find_set, read_header, read_parameters, shipped_sets
+from smajax.parameters import declarations
+from smajax.plant.effects import catalogue
+from smajax.plant.effects.base import AbstractEffect
+from smajax.report.summary import table
+from smajax.units import as_text
+
+# Width of the text in columns of a terminal.
+_WIDTH = 110
+# Longest source in a table; it is whole in the description of one effect or set.
+_LONGEST_SOURCE = 60
+
+
+def effects_text(key: str | None = None) -> str:
+    """Describe all effects of the catalogue, or one with all its parameters.
+
+    Args:
+        key: Key of the effect; ``None`` for all.
+
+    Raises:
+        InputError: If there is no such effect.
+    """
+    effects = catalogue()
+    if key is None:
+        rows = [
+            (name, effect.stage, as_text(effect.typical, _strength_unit(effect)), _short(effect.source))
+            for name, effect in sorted(effects.items(), key=lambda item: (item[1].stage, item[0]))
+        ]
+        lines = table([("effect", "stage", "typical strength", "source"), *rows])
+        return "\n".join(line.rstrip() for line in [*lines, "", "smajax effects KEY describes one of them."])
+    if key not in effects:
+        raise InputError(
+            f"there is no effect '{key}'{suggestion(key, effects)}: 'smajax effects' lists those that there are"
+        )
+    return "\n".join(line.rstrip() for line in _effect_lines(key, effects[key]))
+
+
+def sets_text(name: str | None = None) -> str:
+    """Describe all shipped parameter sets, or the values of one.
+
+    Args:
+        name: Name of a shipped set, or the path of a file; ``None`` for all shipped ones.
+
+    Raises:
+        InputError: If there is no such set, or the file is not valid.
+    """
+    if name is None:
+        lines: list[str] = []
+        for shipped in shipped_sets():
+            path = find_set(shipped)
+            header, entries = read_header(path), read_parameters(path)
+            lines.append(f"{shipped}: {header.get('title', '')} ({len(entries)} values)")
+            lines += wrap(f"from {header['source']}", _WIDTH, initial_indent="    ", subsequent_indent="    ") * (
+                "source" in header
+            )
+        return "\n".join([*lines, "", "smajax sets NAME lists the values of one of them."])
+    path = find_set(name, place="set ")
+    header = read_header(path)
+    lines = [f"{name}: {header.get('title', '')}", *wrap(str(header.get("source", "")), _WIDTH), ""]
+    rows = [(key, as_text(e.value, e.unit), _range_text(e), e.source) for key, e in read_parameters(path).items()]
+    lines += table([("parameter", "value", "bounds", "source"), *rows])
+    use = name if Path(name).suffix == ".toml" else path.stem
+    return "\n".join(line.rstrip() for line in [*lines, "", f'In a rig file: [rig] parameters = "{use}"'])
+
+
+def _effect_lines(key: str, effect: type[AbstractEffect]) -> list[str]:
+    """Text about one effect: what it is, its parameters, where it applies, and how a rig file names it."""
+    unit = _strength_unit(effect)
+    lines = [*wrap(f"{key}: {_first_paragraph(effect)}", _WIDTH), ""]
+    rows = [
+        (
+            f"effects.{key}.{name}",
+            _value_text(effect.typical if name == "strength" else d.default, d.unit),
+            " .. ".join(_value_text(end, d.unit) for end in (d.lower, d.upper)),
+            d.meaning,
+        )
+        for name, d in declarations(effect).items()
+    ]
+    lines += table([("parameter", "typical or default", "bounds", "meaning"), *rows])
+    lines += ["", f"Stage: {effect.stage}", f"Source of the typical strength: {effect.source or 'none given'}"]
+    if effect.needs:
+        lines.append(f"Needs: {', '.join(effect.needs)}")
+    if effect.confused_with:
+        lines.append(f"Explains similar residuals as: {', '.join(effect.confused_with)}")
+    return [*lines, f'In a rig file: [effects.{key}] and below it strength = "{as_text(effect.typical, unit)}"']
+
+
+def _strength_unit(effect: type[AbstractEffect]) -> str:
+    return declarations(effect)["strength"].unit
+
+
+def _first_paragraph(effect: type[AbstractEffect]) -> str:
+    return " ".join((inspect.getdoc(effect) or "").partition("\n\n")[0].split())
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST_SOURCE else f"{text[: _LONGEST_SOURCE - 3]}..."
+
+
+def _value_text(value: float | None, unit: str) -> str:
+    return "none" if value is None or not math.isfinite(value) else as_text(value, unit)
+
+
+def _range_text(entry: Entry) -> str:
+    if not math.isfinite(entry.lower) and not math.isfinite(entry.upper):
+        return "-"
+    return " .. ".join(_value_text(end, entry.unit) for end in (entry.lower, entry.upper))
