@@ -151,13 +151,13 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
 
     Args:
         problem: The problem without structure.
-        state: The state at the end of its forward selection. Its facts are the candidates next to the structure;
-            without facts, all effects are.
+        state: The state at the end of its forward selection. Its facts are the candidates next to the structure; where
+            these are not settled (``are_settled``), all effects are.
     """
     plant = parameters.replace(with_structure(problem.base_problem.plant), {ANGLE: _START_ANGLE})
     free = (*problem.settings.free, *SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()))
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    keys = candidate_keys(state) if state.accepted else _without_approximations(problem.effects)
+    keys = candidate_keys(state) if are_settled(state) else _without_approximations(problem.effects)
     structured = DiagnosisProblem(plant, problem.splits, settings, **problem.grid_options, candidates=keys)
     structured.set_noise(problem.noise)
     lower, upper = (side.copy() for side in structured.bounds)
@@ -168,15 +168,27 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
     return structured
 
 
-def candidate_keys(state: SelectionState) -> tuple[str, ...]:
-    """Return the effects that are tried next to the structure: the facts, or if there are none the best of round one.
+def are_settled(state: SelectionState) -> bool:
+    """Return whether the facts alone are fitted next to the structure: there are some, and none approximates it.
+
+    An effect that stands for cold ends or grains on a wire of one cell and one grain may have absorbed another effect.
 
     Args:
         state: The state at the end of the forward selection without structure.
     """
-    if state.accepted:
-        return tuple(_without_approximations(state.accepted))
-    tried = [key for fit in state.accepted_fits for key in fit.keys]
+    return bool(state.accepted) and not any(key in APPROXIMATIONS for key in state.accepted)
+
+
+def candidate_keys(state: SelectionState) -> tuple[str, ...]:
+    """Return the effects that are tried next to the structure: the facts, or if these are not settled others as well.
+
+    Args:
+        state: The state at the end of the forward selection without structure.
+    """
+    tried = _without_approximations(state.accepted)
+    if are_settled(state):
+        return tuple(tried)
+    tried += [key for fit in state.accepted_fits for key in fit.keys]
     refits = {k: s.refit_rmse_select for k, s in state.ranking.items() if s.refit_rmse_select is not None}
     scores = {k: s.gain for k, s in state.ranking.items() if s.gain}
     tried += _without_approximations(sorted(refits, key=lambda k: refits[k]))[:_BEST_REFITS]

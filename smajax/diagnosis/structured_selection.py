@@ -2,8 +2,8 @@
 
 Where the effects that were selected on a wire of one cell and one grain leave more than noise, the wire may lack cells
 and grains. They are fitted together with those of these effects that are facts. Where that improves the fit, the facts
-stay. Where there are none, every effect is scored next to the structure; those of the largest scores and the best ones
-of the first round are fitted, and then pairs of effects.
+stay. Where there are none, or one of them is an approximation of cells or grains, every effect is scored next to the
+structure; those of the largest scores and the best ones of the first round are fitted, and then pairs of effects.
 """
 
 from collections.abc import Callable
@@ -21,6 +21,7 @@ from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
     UNIFORM,
     Structure,
+    are_settled,
     candidate_keys,
     fit_from,
     fit_with_structure,
@@ -85,8 +86,8 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
     # On one cell and one grain, effects may absorb what the structure explains: it is fitted without them, too.
     base = fit_with_structure(structured, EffectSet(), state.current)
     fits = [base, *([fit_with_structure(structured, facts, state.current)] if facts.keys else [])]
-    if not state.accepted:
-        near, far = _candidates(structured, base, state)
+    if not are_settled(state):
+        near, far = _candidates(structured, fits[-1], state)
         report_progress(f"fitting {len(near)} effects next to cells and grains")
         fits += successive_halving(structured, near, far, SHORT_SCHEDULE)
     evaluator.problem.count_simulations(problem.simulations)
