@@ -7,8 +7,9 @@ from smajax.diagnosis.candidates import AT_NOISE
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 from smajax.report.documents.diagnosis import STRUCTURE_KEYS
+from smajax.report.shown_values import shown_unit
 from smajax.report.summary import bench_sentences
-from smajax.units import display_unit, from_si
+from smajax.units import from_si
 
 Document = Mapping[str, Any]
 
@@ -84,7 +85,7 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 def usual_unit(unit: str) -> str:
     """Return the unit in which values of an internal unit are shown: mm for m, MJ/m^3 for J/m^3, none for 1."""
-    return "" if unit == "1" else display_unit(unit)
+    return "" if unit == "1" else shown_unit(unit)
 
 
 def in_usual_unit(value: float | None, unit: str, digits: int = 3) -> str:
