@@ -1,7 +1,7 @@
 """The choice between the variants of the structure, and between a wire with a structure and one without.
 
-The selection split decides, on fits of the training split. Where these say nothing, since the training split does not
-determine the structure, fits to both splits together decide: cells and grains then have to leave less than half of the
+The selection split decides, on fits of the training split. Next to facts, where the training split may not determine
+the structure, fits to both splits together decide as well: cells and grains then have to leave less than half of the
 excess mean square on each of them.
 """
 
@@ -100,7 +100,12 @@ def joint_errors(without: Evaluated, other: Evaluated) -> tuple[float, float] | 
 
 
 def compare_variants(
-    rig: CandidateEvaluator, state: SelectionState, evaluator: CandidateEvaluator, current: CandidateFit
+    rig: CandidateEvaluator,
+    state: SelectionState,
+    evaluator: CandidateEvaluator,
+    current: CandidateFit,
+    *,
+    jointly: bool = False,
 ) -> tuple[Structure, CandidateEvaluator, CandidateFit]:
     """Fit every variant with the same effects and choose the simplest one that predicts as well as the best.
 
@@ -109,6 +114,7 @@ def compare_variants(
         state: The state at the end of its forward selection.
         evaluator: The evaluator of the problem with structure.
         current: Its fit.
+        jointly: Whether fits to both splits decide as well (``joint_errors``).
 
     Returns:
         The structure, and the evaluator and the fit of its variant.
@@ -123,7 +129,7 @@ def compare_variants(
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
     best = min(errors, key=lambda v: errors[v])
     chosen = next(v for v in variants if v == best or not clearly_better(*fits[v], *fits[best]))
-    if chosen == "neither" and (joint := joint_errors(fits["neither"], fits[variants[-1]])):
+    if jointly and chosen == "neither" and (joint := joint_errors(fits["neither"], fits[variants[-1]])):
         chosen = variants[-1]
         cells = CELLS if chosen == "both" else 1
         return Structure(chosen, cells, GRAINS, dict(zip(("neither", chosen), joint, strict=True)), True), *fits[chosen]

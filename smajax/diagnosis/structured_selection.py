@@ -6,6 +6,7 @@ stay. Where there are none, or one of them is an approximation of cells or grain
 structure; those of the largest scores and the best ones of the first round are fitted, and then pairs of effects.
 """
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -91,7 +92,10 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
         report_progress(f"fitting {len(near)} effects next to cells and grains")
         fits += successive_halving(structured, near, far, SHORT_SCHEDULE)
     evaluator.problem.count_simulations(problem.simulations)
-    if not any(halves_excess(state, f) or is_clear_improvement(evaluator, state, structured, f) for f in fits):
+    # Without facts, cells and grains may absorb an effect that was not found: then the selection split alone decides.
+    jointly = bool(facts.keys)
+    improves = functools.partial(is_clear_improvement, evaluator, state, structured)
+    if not any((jointly and halves_excess(state, f)) or improves(f) for f in fits):
         return evaluator, state, UNIFORM
     inner = SelectionState(
         state.detectability, state.noise, base, base, state.chi2_limit, state.nominal_scores, state.base_fit_converged
@@ -103,10 +107,10 @@ def _select(evaluator: CandidateEvaluator, state: SelectionState, report_progres
         pairs = _second_candidates(structured, beam)
         _add_effects(structured, inner, successive_halving(structured, pairs, schedule=SHORT_SCHEDULE))
     judge_effects(structured, inner)
-    if not is_clear_improvement(evaluator, state, structured, inner.current, jointly=True):
+    if not improves(inner.current, jointly=jointly):
         return evaluator, state, UNIFORM
     report_progress("comparing cells alone, grains alone, both, and neither")
-    structure, chosen, fit = compare_variants(evaluator, state, structured, inner.current)
+    structure, chosen, fit = compare_variants(evaluator, state, structured, inner.current, jointly=jointly)
     if structure.variant == "neither":
         return evaluator, state, structure
     inner.accepted_fits = []  # fits of another variant

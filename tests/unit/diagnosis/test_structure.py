@@ -200,9 +200,10 @@ def test_fits_to_both_splits_decide_where_the_training_split_does_not_determine_
     monkeypatch.setattr(structure_choice, "clearly_better", lambda *_: False)
     assert halves_excess(state, fit) and not is_clear_improvement(evaluators[0], state, evaluators[1], fit)
     assert is_clear_improvement(evaluators[0], state, evaluators[1], fit, jointly=True)
-    structure, _, found = compare_variants(evaluators[0], state, evaluators[1], fit)
+    structure, _, found = compare_variants(evaluators[0], state, evaluators[1], fit, jointly=True)
     assert structure.variant == "both" and structure.jointly and found is fit
     assert structure.errors["both"] - 1.0 < 0.5 * (structure.errors["neither"] - 1.0)
+    assert compare_variants(evaluators[0], state, evaluators[1], fit)[0].variant == "neither"
     assert joint_errors((evaluators[1], fit), (evaluators[0], base)) is None
     options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}
     document = diagnosis_document(dataclasses.replace(diagnosis, structure=structure), recordings, **options)
