@@ -24,6 +24,7 @@ from smajax.diagnosis.structure import (
     UNEVEN,
     VARIANTS,
     Structure,
+    fit_from,
     held_values,
     holding,
     refit,
@@ -155,7 +156,11 @@ def _fit_without(rig: CandidateEvaluator, state: SelectionState, fit: CandidateF
     for earlier in (state.base_fit, state.current):
         if set(earlier.keys) == set(fit.keys):
             return earlier
-    return refit(rig, state.current, fit.refit.effect_set)
+    # The fit with the structure is a start, too: it must not win because the search without it has not ended.
+    problem = rig.problem
+    bases = (state.current.refit.base, problem.nominal, fit.refit.base[: problem.size])
+    starts = [np.clip(base, *problem.bounds) for base in bases]
+    return fit_from(rig, fit.refit.effect_set, starts, fit.train_chi2)
 
 
 def clearly_better(
