@@ -113,7 +113,7 @@ class MultiStartResult(NamedTuple):
         jacobians: Jacobians there (s, m, p).
         costs: Sums of squares there (s,).
         statuses: Why each search ended.
-        updates: Number of updates of each Jacobian since it was computed.
+        updates: Number of updates of each Jacobian since it was computed; 0 for an exact one.
         steps: Number of steps.
         simulations: Number of evaluations of the residual; a Jacobian counts as p.
         wall_time: Time of the steps, s.
@@ -228,16 +228,19 @@ class MultiStartSolver:
         return float(np.min(self._states.cost))
 
     def result(self) -> MultiStartResult:
-        """Return the state of all searches."""
+        """Return the state of all searches, with the exact Jacobians unless there is a ``primal_fn``."""
+        jacobians, updates = np.array(self._states.jacobian), np.array(self._states.updates)
+        for k in np.flatnonzero(updates) if self._primal_fn is None else ():
+            jacobians[k], updates[k] = linearise(self._fn, self._points[k], self._args)[0], 0
         unfinished = SolverStatus.interrupted if self._interrupted else SolverStatus.steps
         statuses = [SolverStatus(int(s)) for s in np.asarray(self._states.status)]
         return MultiStartResult(
             points=np.asarray(self._points),
             residuals=np.asarray(self._states.residual),
-            jacobians=np.asarray(self._states.jacobian),
+            jacobians=jacobians,
             costs=np.asarray(self._states.cost),
             statuses=[unfinished if s is SolverStatus.running else s for s in statuses],
-            updates=np.asarray(self._states.updates),
+            updates=updates,
             steps=self.steps,
             simulations=self.simulations,
             wall_time=self._wall_time,
@@ -297,3 +300,23 @@ _step_starts_large = jit_with_kernels(
     _step_all,
     compiler_options=LARGE_PROGRAM_OPTIONS,
 )
+
+
+@jit_with_kernels
+def linearise(fn: Callable[[jax.Array, Any], jax.Array], vector: jax.Array, args: Any) -> tuple[jax.Array, jax.Array]:
+    """Compute Jacobian and residual at a vector.
+
+    Args:
+        fn: Residual function of the vector and ``args``, shape ``(m,)``.
+        vector: The vector, shape ``(p,)``.
+        args: Second argument of ``fn``.
+
+    Returns:
+        The Jacobian, shape ``(m, p)``, and the residual.
+    """
+
+    def with_value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        residual = fn(v, args)
+        return residual, residual
+
+    return jax.jacfwd(with_value, has_aux=True)(vector)

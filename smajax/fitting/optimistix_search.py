@@ -16,7 +16,7 @@ import optimistix as optx
 
 from smajax.fitting.bound_transformation import BoundTransformation
 from smajax.fitting.levenberg_marquardt import SolverStatus, predicted_decrease
-from smajax.fitting.multi_start import MultiStartResult
+from smajax.fitting.multi_start import MultiStartResult, linearise
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.progress import CallbackStop, stoppable
 
@@ -140,7 +140,7 @@ class OptimistixSearch:
         A search whose solver has ended has the status ``not_stationary`` if its point is no minimum.
         """
         points = np.stack(self._best)
-        ends = [_linearise(self._fn.residual, jnp.asarray(point), self._args) for point in points]
+        ends = [linearise(self._fn.residual, jnp.asarray(point), self._args) for point in points]
         unfinished = SolverStatus.interrupted if self._interrupted else SolverStatus.steps
         statuses = [unfinished if s is SolverStatus.running else s for s in self._statuses]
         for k, (jacobian, residual) in enumerate(ends):
@@ -195,14 +195,3 @@ def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple[Any, ...],
     vector = search[0](point)
     cost = jnp.sum(fn.residual(vector, search[1]) ** 2)
     return point, state, done, result != optx.RESULTS.successful, vector, cost
-
-
-@jit_with_kernels
-def _linearise(fn: Residual, vector: jax.Array, args: Any) -> tuple[jax.Array, jax.Array]:
-    """Jacobian and residual at a vector."""
-
-    def with_value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        residual = fn(v, args)
-        return residual, residual
-
-    return jax.jacfwd(with_value, has_aux=True)(vector)

@@ -62,17 +62,19 @@ def test_updates_of_the_jacobian_replace_most_of_its_evaluations():
     def residual(y, _):
         return jnp.concatenate([3.0 * (y[1:] - y[:-1] ** 2), 1.0 - y, jnp.sin(y)])
 
-    def search(secant_updates):
+    def search(secant_updates, steps=400):
         start, ends = np.linspace(-1.5, 1.5, 20)[None], (np.full(20, -5.0), np.full(20, 5.0))
         options = {"size": 59, "rtol": 1e-12, "sequential": True, "secant_updates": secant_updates}
-        return MultiStartSolver(residual, None, start, *ends, **options).advance(400).result()
+        return MultiStartSolver(residual, None, start, *ends, **options).advance(steps).result()
 
     computed, updated = search(False), search(True)
     assert computed.statuses == updated.statuses == [SolverStatus.converged]
     assert updated.costs[0] == pytest.approx(computed.costs[0], rel=1e-9)
-    assert updated.updates[0] == 0
-    jacobian = jax.jacfwd(residual)(jnp.asarray(updated.points[0]), None)
-    np.testing.assert_allclose(updated.jacobians[0], jacobian, rtol=1e-12)
+    # Also where the steps ran out: intervals need the exact Jacobian.
+    for result in (updated, *(search(True, steps) for steps in range(2, 12))):
+        assert result.updates[0] == 0
+        jacobian = jax.jacfwd(residual)(jnp.asarray(result.points[0]), None)
+        np.testing.assert_allclose(result.jacobians[0], jacobian, rtol=1e-12)
     assert updated.simulations < 0.7 * computed.simulations
 
 
