@@ -20,17 +20,17 @@ INFINITE = 1e6
 _MIN_SCALE = 1e-3
 
 
-def safe_bounds(limits: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return limits with a distance for the error of the time steps, within which a refined design is to lie.
+def safe_bounds(limits: Mapping[str, tuple[float, float]], share: float = STEP_ERROR) -> dict[str, tuple[float, float]]:
+    """Return limits with a distance from them, by default for the error of the time steps of a refined design.
 
     Args:
-        limits: Lower and upper bound by metric, in internal units.
+        limits: Lower and upper bound by metric, in internal units; bounds too close for the distance stay.
+        share: The distance, relative to each bound.
     """
     bounds = {}
     for name, (low, high) in limits.items():
-        inner = (
-            low + STEP_ERROR * abs(low) if np.isfinite(low) else low,
-            high - STEP_ERROR * abs(high) if np.isfinite(high) else high,
+        inner = tuple(
+            end + sign * share * abs(end) if np.isfinite(end) else end for end, sign in ((low, 1.0), (high, -1.0))
         )
         bounds[name] = inner if inner[0] <= inner[1] else (low, high)
     return bounds

@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 import scipy.stats
 from jaxtyping import Float
 
+from smajax.numerics.evolution import evolve_in_unit_box
 from smajax.numerics.jax_setup import on_cpu
 from smajax.sweeps.chunks import evaluate_designs
-from smajax.sweeps.constraints import MARGIN
+from smajax.sweeps.constraints import MARGIN, safe_bounds
 from smajax.sweeps.pareto import constraint_violation
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.space import Axis, to_designs
@@ -63,13 +63,14 @@ def evolve_designs(
         seed: Seed of the random numbers.
     """
     name, sign = objective[0], -1.0 if objective[1] == "max" else 1.0
-    tightened = {n: _tightened(low, high) for n, (low, high) in limits.items()}
+    tightened = safe_bounds(limits, MARGIN)
     shares = np.column_stack([_shares(axis, starts[:, k]) for k, axis in enumerate(axes)])[: _POPULATION // 2]
     drawn = scipy.stats.qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random(_POPULATION)
     first = np.clip(np.vstack([shares, drawn])[:_POPULATION], 0.0, 1.0)
     count, scale = 0, 0.0
 
     def cost(population: Float[np.ndarray, "axes designs"]) -> Float[np.ndarray, " designs"]:
+        """Objective of feasible designs over that of the best start; far larger costs of all others."""
         nonlocal count, scale
         count += population.shape[1]
         values = _evaluate(problem, to_designs(axes, population.T))
@@ -80,25 +81,8 @@ def evolve_designs(
         costs = np.clip(size / scale, -_VIOLATION_COST, _VIOLATION_COST)
         return np.where(violation > 0.0, _VIOLATION_COST * (2.0 + violation), costs)
 
-    result = scipy.optimize.differential_evolution(
-        cost,
-        [(0.0, 1.0)] * len(axes),
-        init=first,  # pyright: ignore[reportArgumentType]
-        maxiter=_GENERATIONS,
-        tol=0.0,
-        polish=False,
-        rng=np.random.default_rng(seed),
-        vectorized=True,
-        updating="deferred",
-    )
-    return EvolvedDesign(to_designs(axes, result.x[None])[0], bool(result.fun < _VIOLATION_COST), count)
-
-
-def _tightened(low: float, high: float) -> tuple[float, float]:
-    """Bounds with the distance that refinements keep from them."""
-    return low + MARGIN * abs(low) if np.isfinite(low) else low, high - MARGIN * abs(high) if np.isfinite(
-        high
-    ) else high
+    point, least = evolve_in_unit_box(cost, first, _GENERATIONS, seed)
+    return EvolvedDesign(to_designs(axes, point[None])[0], least < _VIOLATION_COST, count)
 
 
 def _shares(axis: Axis, values: Float[np.ndarray, " designs"]) -> Float[np.ndarray, " designs"]:

@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-import scipy.optimize
 import scipy.stats
 from jaxtyping import Float
 
 from smajax.control.tuning.search import BATCH, Candidate, GainSearch, rank
+from smajax.numerics.evolution import evolve_in_unit_box
 
 # Size of the population, and number of generations; test_a_population_finds_gains_that_keep_all_limits of
 # tests/unit/control/test_tuning.py holds the number of evaluations.
@@ -40,17 +40,7 @@ def evolve_population(search: GainSearch, point: Float[np.ndarray, " gains"]) ->
         candidates = [c for k in range(0, points.shape[1], BATCH) for c in search.candidates(points.T[k : k + BATCH])]
         return np.array([_log_cost(candidate) for candidate in candidates])
 
-    scipy.optimize.differential_evolution(
-        cost,
-        [(0.0, 1.0)] * len(point),
-        init=first,  # pyright: ignore[reportArgumentType]
-        maxiter=_GENERATIONS,
-        tol=0.0,
-        polish=False,
-        rng=0,
-        vectorized=True,
-        updating="deferred",
-    )
+    evolve_in_unit_box(cost, first, _GENERATIONS, seed=0)
     return min(search.evaluated, key=rank)
 
 
