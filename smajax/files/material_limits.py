@@ -22,7 +22,7 @@ The stress is that which a wire bears for a number of cycles; there may be sever
 passes through in a cycle. Every value has a source.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -153,19 +153,16 @@ def read_limits(path: Path, name: str) -> MaterialLimits | None:
     Raises:
         InputError: If the file is missing, or a limit is not valid; the message names file and key.
     """
-    content = read_header(path).get("limits")
-    if content is None:
-        return None
-    try:
-        sections = validate(_LimitSections, content, "limits")
-        stress = [_read_limit("stress", f"limits.stress {k}", table) for k, table in enumerate(sections.stress, 1)]
-        single = {
-            key: _read_limit(key, f"limits.{key}", getattr(sections, key))
-            for key in ("temperature", "strain")
-            if getattr(sections, key) is not None
-        }
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return _read_table(path, "limits", lambda content: _limits_of(name, validate(_LimitSections, content, "limits")))
+
+
+def _limits_of(name: str, sections: _LimitSections) -> MaterialLimits:
+    stress = [_read_limit("stress", f"limits.stress {k}", table) for k, table in enumerate(sections.stress, 1)]
+    single = {
+        key: _read_limit(key, f"limits.{key}", getattr(sections, key))
+        for key in ("temperature", "strain")
+        if getattr(sections, key) is not None
+    }
     return MaterialLimits(name, tuple(sorted(stress, key=lambda limit: limit.cycles or 0.0)), **single)
 
 
@@ -191,14 +188,23 @@ def read_catalogue(path: Path, name: str) -> Catalogue | None:
     Raises:
         InputError: If the file is missing, or the catalogue is not valid; the message names file and key.
     """
-    content = read_header(path).get("catalogue")
+    return _read_table(path, "catalogue", lambda content: _catalogue_of(name, content))
+
+
+def _catalogue_of(name: str, content: Any) -> Catalogue:
+    fields = validate(_CatalogueTable, content, "catalogue")
+    diameters = [quantity_at(text, "m", "catalogue.diameters") for text in fields.diameters]
+    if wrong := [text for text, size in zip(fields.diameters, diameters, strict=True) if not size > 0.0]:
+        raise InputError(f"catalogue.diameters has {wrong[0]}: give diameters above 0")
+    return Catalogue(name, fields.wire, tuple(sorted(set(diameters))), fields.source)
+
+
+def _read_table(path: Path, key: str, build: Callable[[Any], Any]) -> Any:
+    """What a table of a parameter set describes, ``None`` without the table; messages name the file."""
+    content = read_header(path).get(key)
     if content is None:
         return None
     try:
-        fields = validate(_CatalogueTable, content, "catalogue")
-        diameters = [quantity_at(text, "m", "catalogue.diameters") for text in fields.diameters]
-        if wrong := [text for text, size in zip(fields.diameters, diameters, strict=True) if not size > 0.0]:
-            raise InputError(f"catalogue.diameters has {wrong[0]}: give diameters above 0")
+        return build(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return Catalogue(name, fields.wire, tuple(sorted(set(diameters))), fields.source)
