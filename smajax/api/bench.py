@@ -13,6 +13,7 @@ from smajax.progress import Reporter
 from smajax.recordings.recording import Recording
 
 # Spread of the offsets of several recordings, in standard deviations of their noise, from which each has its own.
+# Chosen by trial; tests/unit/fitting/test_bench_checks.py has an example of each.
 _OWN_OFFSETS = 10.0
 
 

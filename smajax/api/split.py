@@ -19,7 +19,7 @@ _ENDS = (0.5, 0.75)
 _LEAST_PART = 0.1
 # Share of a channel's noise up to which a start in the middle may change it: with 0.5 an error grows by an eighth.
 _OF_NOISE = 0.5
-# What a split shows not, as a note of its last part.
+# What a split does not show, as a note of its last part.
 _WARNING = (
     "it is a part of the same recording as the training rows, so that its error does not show how the model does with "
     "another input or load, at another ambient temperature, after another mounting, or on another day: record those"

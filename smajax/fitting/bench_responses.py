@@ -19,7 +19,7 @@ MECHANICAL = ("displacement", "angle", "rate", "force", "torque", "stress", "str
 # Change of the martensite fraction from which the response is that of a transformation.
 _TRANSFORMS = 0.2
 # Steps of a simulation beyond which a slowly sampled recording is simulated faster than it ran, and others are not
-# checked: a second of time and 0.3 GB of memory.
+# checked, so that a check stays short. Chosen by trial.
 _MAX_STEPS = 500_000
 # Time between rows, in time constants of the wire, from which a faster clock changes nothing: 1 - exp(-3) is 0.95.
 SETTLED = 3.0

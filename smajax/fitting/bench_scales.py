@@ -14,8 +14,8 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.step_size import time_constant
 from smajax.units import from_si
 
-# degC. Nickel-titanium is given its shape above this temperature, at which no actuator works; the hottest wire of all
-# shipped recordings has 183 degC.
+# Thresholds without a stated reason were chosen by trial (tests/unit/fitting/test_bench_checks.py).
+# degC. Nickel-titanium is given its shape above this temperature, at which no actuator works.
 _HOTTEST = 400.0
 # Share of the way from the ambient to the start of austenite below which nothing is heated.
 _COLD = 0.25

@@ -75,7 +75,7 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_a_spoiled_recording_is_told_what_is_wrong(rig, recording, name):
+def test_a_spoiled_recording_gets_the_sentence_on_its_fault(rig, recording, name):
     changes, words = SPOILED[name]
     findings = bench_findings(rig.plant, [spoiled(recording, **changes)], rig.fit)
     assert len(findings) == 1, [finding.sentence for finding in findings]
@@ -200,15 +200,15 @@ def smajax(*words):
 def test_check_and_fit_begin_with_what_the_recording_shows(few, recording, tmp_path):
     few.write(tmp_path / "rig.toml")
     spoiled(recording, displacement=lambda v: v + 12.4e-3).write(tmp_path / "own.csv")
-    told = "own.csv: displacement begins at 12.4"
+    beginning = "own.csv: displacement begins at 12.4"
     checked = smajax("check", tmp_path / "rig.toml", tmp_path / "own.csv")
-    assert checked.exit_code == 0 and checked.stdout.startswith(told)
+    assert checked.exit_code == 0 and checked.stdout.startswith(beginning)
     with_offset = smajax("check", tmp_path / "rig.toml", tmp_path / "own.csv", "--auto")
     assert "sensor.displacement_offset is free, as --auto asks" in with_offset.stdout
     assert re.search(r"^sensor.displacement_offset +12[.]\d+ mm +none .. none", with_offset.stdout, re.MULTILINE)
     fitted = smajax("fit", tmp_path / "rig.toml", tmp_path / "own.csv", "--out", tmp_path / "out")
-    assert fitted.exit_code == 3 and fitted.stdout.startswith(told)
-    assert f"smajax: {told}" in fitted.stderr.partition("smajax: fitting")[0]
+    assert fitted.exit_code == 3 and fitted.stdout.startswith(beginning)
+    assert f"smajax: {beginning}" in fitted.stderr.partition("smajax: fitting")[0]
     assert (tmp_path / "out" / "fit.json").is_file() and (tmp_path / "out" / "report.html").is_file()
     assert "displacement begins at 12.4" in (tmp_path / "out" / "report.html").read_text("utf-8")
     auto = smajax("fit", tmp_path / "rig.toml", tmp_path / "own.csv", "--auto", "--out", tmp_path / "auto")
