@@ -35,6 +35,28 @@ from smajax.plant.heat import AbstractHeat
 from smajax.plant.wire import AbstractWire, Environment
 
 
+class CellGeometry(eqx.Module):
+    """What the equations need of the cells that does not change over a simulation.
+
+    Attributes:
+        boundaries: Boundaries of the simulated cells, from the clamp at 0 to the middle of the wire, m. With an odd
+            number of cells the last one is half of the middle cell.
+        shares: Lengths of the cells over that of all of them.
+        conduction: Heat that conduction brings into each cell per kelvin of each cell (last axis), W/m^3/K.
+        from_clamp: The same per kelvin of the clamp.
+        uneven: Excess of the convection coefficient of each cell over h(T), as a share.
+        grain_weights: Weights of the temperatures of all cells (last axis) in the temperature of each grain; ``None``
+            without grains.
+    """
+
+    boundaries: Float[Array, " ends"]
+    shares: Float[Array, " cells"]
+    conduction: Float[Array, "cells cells"]
+    from_clamp: Float[Array, " cells"]
+    uneven: Float[Array, " cells"]
+    grain_weights: Float[Array, "grains cells cells"] | None
+
+
 class Cells(CheckedModule):
     """Cells along each wire, with heat conduction between them and into the clamps.
 
@@ -62,23 +84,31 @@ class Cells(CheckedModule):
         """Number of cells that are simulated: those of half the wire, with half of the middle one."""
         return (self.count + 1) // 2
 
-    def boundaries(self, wire: AbstractWire, heat: AbstractHeat, environment: Environment) -> Float[Array, " ends"]:
-        """Compute the boundaries of the simulated cells, from the clamp at 0 to the middle of the wire.
+    def geometry(
+        self, wire: AbstractWire, heat: AbstractHeat, environment: Environment, grains: int | None
+    ) -> CellGeometry:
+        """Compute what the equations need of the cells.
 
         Args:
             wire: The wire.
             heat: The heat stage; its conductance at ambient temperature gives the fin length.
             environment: Surroundings of the wire; the cells do not follow a recorded ambient temperature.
-
-        Returns:
-            Distances from the clamp in m, shape ``(simulated + 1,)``. With an odd number of cells the last one is half
-            of the middle cell.
+            grains: Number of grains in each cell; ``None`` without grains.
         """
         half = 0.5 * wire.length_between_clamps
         ratio = half / jnp.sqrt(self.conductivity / heat.conductance(environment.ambient, wire))
         # In an odd number of cells the middle one counts half.
         place = jnp.minimum(jnp.arange(self.simulated + 1) / (0.5 * self.count), 1.0)
-        return half * jnp.sinh(place * jnp.arcsinh(ratio)) / ratio
+        boundaries = half * jnp.sinh(place * jnp.arcsinh(ratio)) / ratio
+        conduction, from_clamp = self._conduction_matrix(boundaries)
+        return CellGeometry(
+            boundaries,
+            jnp.diff(boundaries) / boundaries[-1],
+            conduction,
+            from_clamp,
+            self.convection_factors(boundaries) - 1.0,
+            None if grains is None else self._grain_weights(boundaries, grains),
+        )
 
     def convection_factors(self, boundaries: Float[Array, " ends"]) -> Float[Array, " cells"]:
         """Compute the convection coefficient of each cell over that of h(T): 1 + u cos(2 pi x / L), averaged over it.
@@ -93,7 +123,7 @@ class Cells(CheckedModule):
         self,
         temperature: Float[Array, "cells wires"],
         clamp: Float[Array, " wires"],
-        boundaries: Float[Array, " ends"],
+        geometry: CellGeometry,
         wire: AbstractWire,
         heat: AbstractHeat,
         ambient: Float[Array, ""],
@@ -103,7 +133,7 @@ class Cells(CheckedModule):
         Args:
             temperature: Temperatures of the cells, degC.
             clamp: Temperature of the clamps, degC.
-            boundaries: Boundaries of the cells, m.
+            geometry: What the equations need of the cells.
             wire: The wire.
             heat: The heat stage.
             ambient: Temperature of the surroundings, degC.
@@ -113,9 +143,9 @@ class Cells(CheckedModule):
         """
         # The temperatures of clamp and cells times a matrix that is constant over a simulation: faster than differences
         # of neighbours, which a compiled loop computes entry by entry (experiments/speed/cells_and_grains.py).
-        matrix, to_clamp = self._conduction_matrix(boundaries)
-        inflow = jnp.sum(matrix[:, :, None] * temperature[None], axis=1) + to_clamp[:, None] * clamp[None]
-        uneven = (self.convection_factors(boundaries) - 1.0)[:, None] * heat.conductance(temperature, wire)
+        inflow = jnp.sum(geometry.conduction[:, :, None] * temperature[None], axis=1)
+        inflow = inflow + geometry.from_clamp[:, None] * clamp[None]
+        uneven = geometry.uneven[:, None] * heat.conductance(temperature, wire)
         return inflow - uneven * (temperature - ambient)
 
     def _conduction_matrix(
@@ -135,7 +165,7 @@ class Cells(CheckedModule):
         ends: tuple[Any, Any],
         ambient: tuple[Any, Any],
         step: Float[Array, ""],
-        boundaries: Float[Array, " ends"],
+        geometry: CellGeometry,
         wire: AbstractWire,
     ) -> Float[Array, " wires"]:
         """Compute the temperature of the clamps after a step in which their surroundings change linearly.
@@ -145,53 +175,40 @@ class Cells(CheckedModule):
             ends: Temperatures of the cells next to them, at start and end, degC.
             ambient: Temperature of the surroundings at start and end, degC.
             step: Duration, s.
-            boundaries: Boundaries of the cells, m.
+            geometry: What the equations need of the cells.
             wire: The wire.
 
         Returns:
             Temperature of the clamps at the end, degC.
         """
-        conductance = self.conductivity * jnp.pi / 4 * wire.diameter**2 / (0.5 * boundaries[1])
+        conductance = self.conductivity * jnp.pi / 4 * wire.diameter**2 / (0.5 * geometry.boundaries[1])
         total = conductance + self.clamp_conductance
         first, last = (
             (conductance * end + self.clamp_conductance * at) / total for end, at in zip(ends, ambient, strict=True)
         )
         return first_order_lag(clamp, first, last, step, self.clamp_capacity / total)
 
-    def reading(
-        self, temperature: Float[Array, "cells wires"], boundaries: Float[Array, " ends"]
-    ) -> Float[Array, " wires"]:
+    def reading(self, temperature: Float[Array, "cells wires"], geometry: CellGeometry) -> Float[Array, " wires"]:
         """Compute the temperature at the place of the thermocouple, linear between the middles of the cells.
 
         Args:
             temperature: Temperatures of the cells, degC.
-            boundaries: Boundaries of the cells, m.
+            geometry: What the equations need of the cells.
         """
+        boundaries = geometry.boundaries
         place = minimum(self.thermocouple_place, 1.0 - self.thermocouple_place)
         middles = self._middles(boundaries)
         weights = clip((2.0 * place * boundaries[-1] - middles[:-1]) / jnp.diff(middles), 0.0, 1.0)
         return temperature[0] + weights @ jnp.diff(temperature, axis=0)
 
-    def grain_temperatures(
-        self, temperature: Float[Array, "cells wires"], boundaries: Float[Array, " ends"], grains: int
-    ) -> Float[Array, "grains cells wires"]:
-        """Compute the temperature at the place of each grain, linear between the middles of the cells.
+    def _grain_weights(self, boundaries: Float[Array, " ends"], grains: int) -> Float[Array, "grains cells cells"]:
+        """Weights of the temperatures of all cells (last axis) in the temperature of each grain.
 
-        The grains of a cell are spread over its length, so that a cold end transforms gradually in few cells. Their
-        mean temperature is that of the cell.
-
-        Args:
-            temperature: Temperatures of the cells, degC.
-            boundaries: Boundaries of the cells, m.
-            grains: Number of grains in each cell.
+        The grains of a cell are spread over its length, with a temperature that is linear between the middles of the
+        cells, so that a cold end transforms gradually in few cells. Their mean temperature is that of the cell.
         """
         if self.simulated == 1:
-            return jnp.broadcast_to(temperature, (grains, *temperature.shape))
-        weights = self._grain_weights(boundaries, grains)  # constant over a simulation, as in ``net_heat``
-        return jnp.sum(weights[..., None] * temperature[None, None], axis=2)
-
-    def _grain_weights(self, boundaries: Float[Array, " ends"], grains: int) -> Float[Array, "grains cells cells"]:
-        """Weights of the temperatures of all cells (last axis) in the temperature of each grain."""
+            return jnp.ones((grains, 1, 1))
         middles, length = self._middles(boundaries), jnp.diff(boundaries)
         places, cells = self._grain_places(grains), jnp.eye(self.simulated)
         offset = boundaries[None, :-1] + (0.5 + places) * length[None] - middles[None]

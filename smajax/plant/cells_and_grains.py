@@ -7,14 +7,14 @@ not. For an effect on heat or material each cell is a wire; all other effects ge
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.plant.cells import Cells
+from smajax.plant.cells import CellGeometry, Cells
 from smajax.plant.effects.base import AbstractEffect, HeatEffect, MaterialEffect, StageContext, WireState
 from smajax.plant.grains import Grains
 from smajax.plant.heat import AbstractHeat
@@ -22,6 +22,7 @@ from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism
 from smajax.plant.wire import AbstractWire, Environment
 
+Prepared = TypeVar("Prepared", bound="CellsAndGrains")
 # Key of the temperature of the clamps in a state's memory.
 CLAMP = "clamp"
 # Axis of the cells in the entries of a ``WireState``.
@@ -34,10 +35,12 @@ class CellsAndGrains(eqx.Module):
     Attributes:
         cells: Cells along each wire; by default none, so that a wire has one temperature.
         grains: Grains in each cell; by default none, so that all of it follows the law at the same temperatures.
+        cell_geometry: What follows from the cells and the other parts, if it was computed before (``prepared``).
     """
 
     cells: Cells | None = eqx.field(default=None, kw_only=True)
     grains: Grains | None = eqx.field(default=None, kw_only=True)
+    cell_geometry: CellGeometry | None = eqx.field(default=None, kw_only=True)
     wire: eqx.AbstractVar[AbstractWire]
     environment: eqx.AbstractVar[Environment]
     heat: eqx.AbstractVar[AbstractHeat]
@@ -55,17 +58,28 @@ class CellsAndGrains(eqx.Module):
         return math.prod(self.temperature_shape)
 
     @property
-    def _cell_boundaries(self) -> Float[Array, " ends"]:
-        """Boundaries of the simulated cells, m; only with cells."""
+    def _geometry(self) -> CellGeometry:
+        """What the equations need of the cells; only with cells."""
         assert self.cells is not None
-        return self.cells.boundaries(self.wire, self.heat, self.environment)
+        if self.cell_geometry is not None:
+            return self.cell_geometry
+        grains = None if self.grains is None else self.grains.count
+        return self.cells.geometry(self.wire, self.heat, self.environment, grains)
+
+    def prepared(self: Prepared) -> Prepared:
+        """Return the plant with the geometry of its cells, so that all steps of a simulation share it.
+
+        A prepared plant is for one simulation: its parameters may not be replaced.
+        """
+        if self.cells is None or self.cell_geometry is not None:
+            return self
+        return eqx.tree_at(lambda p: p.cell_geometry, self, self._geometry, is_leaf=lambda leaf: leaf is None)
 
     def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
         """The mean of a quantity of the cells over the length of each wire."""
         if self.cells is None:
             return values
-        boundaries = self._cell_boundaries
-        return (jnp.diff(boundaries) / boundaries[-1]) @ values
+        return self._geometry.shares @ values
 
     def _per_cell(self, values: Float[Array, " wires"]) -> Float[Array, "*cells wires"]:
         """A quantity that is equal along each wire, for all its cells."""
@@ -104,7 +118,26 @@ class CellsAndGrains(eqx.Module):
             return temperature
         if self.cells is None:
             return jnp.broadcast_to(temperature, (self.grains.count, *temperature.shape))
-        return self.cells.grain_temperatures(temperature, self._cell_boundaries, self.grains.count)
+        weights = self._geometry.grain_weights
+        assert weights is not None
+        return jnp.sum(weights[..., None] * temperature[None, None], axis=2)
+
+    def _mean_slope(self, slope: Float[Array, "*grains wires"]) -> Float[Array, "*cells wires"]:
+        """The derivatives of a mean over the grains of each cell by the temperatures of all cells (second axis).
+
+        Without grains, or where all grains have the temperature of their cell, those by the temperature of the cell.
+        """
+        if self.grains is None or self.cells is None:
+            return slope
+        weights = self._geometry.grain_weights
+        assert weights is not None
+        return jnp.einsum("giw,gij->ijw", slope, weights) / self.grains.count
+
+    def _change_in_cells(
+        self, slope: Float[Array, "*cells wires"], temperature: Float[Array, "*cells wires"]
+    ) -> Float[Array, "*cells wires"]:
+        """The change of a mean over grains with the temperatures of the cells, from its ``_mean_slope``."""
+        return slope * temperature if slope.ndim == temperature.ndim else jnp.sum(slope * temperature[None], axis=1)
 
     def _for_grains(self, values: Float[Array, "*cells wires"]) -> Float[Array, "*grains wires"]:
         """A quantity of the cells with an axis for the grains, if there are any."""
@@ -136,7 +169,7 @@ class CellsAndGrains(eqx.Module):
             return {}
         ends = first.temperature[0], last.temperature[0]
         ambient: Any = tuple(self.environment.ambient if at.ambient is None else at.ambient for at in (first, last))
-        parts = self._cell_boundaries, self.wire
+        parts = self._geometry, self.wire
         return {CLAMP: self.cells.clamp_temperature(memory[CLAMP], ends, ambient, step, *parts)}
 
 

@@ -209,7 +209,7 @@ class Plant(StepSolver):
         """The temperatures of the wires where their thermocouples are."""
         if self.cells is None:
             return temperature
-        return self.cells.reading(temperature, self._cell_boundaries)
+        return self.cells.reading(temperature, self._geometry)
 
     def read_sensors(
         self, series: dict[str, Float[Array, " samples"]], time: Float[Array, " samples"]

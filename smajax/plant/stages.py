@@ -372,7 +372,7 @@ class PlantStages(CellsAndGrains):
             joule = self._per_cell(joule / mean) * resistivity  # one current through cells of different resistivity
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, context.environment)
         if self.cells is not None:
-            parts = self._cell_boundaries, self.wire, self.heat, context.environment.ambient
+            parts = self._geometry, self.wire, self.heat, context.environment.ambient
             rate = rate + self.cells.net_heat(wire_state.temperature, memory[CLAMP], *parts)
         return rate + sum(
             checked_result(

@@ -252,8 +252,11 @@ class StepEquations(PlantStages):
             return value, tangent(ones(temperature), zeros(stress)), tangent(*by_stress) if has_unknown else no_slope
 
         value, by_temperature, by_stress = jax.lax.stop_gradient(with_slopes(*at))
-        moved = temperatures - at[0], self._for_grains(self._per_cell(stress - at[1]))
-        evolved = Fractions(
-            *(v + t * moved[0] + s * moved[1] for v, t, s in zip(value, by_temperature, by_stress, strict=True))
+        moved = temperature - jax.lax.stop_gradient(temperature), self._per_cell(stress - at[1])
+        slopes = Fractions(*map(self._mean_slope, by_temperature)), self._mean_over_grains(by_stress)
+        return Fractions(
+            *(
+                v + self._change_in_cells(t, moved[0]) + s * moved[1]
+                for v, t, s in zip(self._mean_over_grains(value), *slopes, strict=True)
+            )
         )
-        return self._mean_over_grains(evolved)

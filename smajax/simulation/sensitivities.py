@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from smajax.numerics.common_subexpressions import merge_equal_operations
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import implicit_jvp, implicit_jvp_from_jacobian, jvp
 from smajax.plant.plant import Plant
@@ -44,7 +45,6 @@ class Trajectory(eqx.Module):
     status: Int[Array, ""]
 
 
-@eqx.filter_custom_jvp
 def simulate_outputs(
     plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction
 ) -> tuple[Float[Array, "grid size"], Int[Array, ""]]:
@@ -59,10 +59,18 @@ def simulate_outputs(
     Returns:
         The outputs, shape ``(grid, size)``, and the status code.
     """
+    return _simulate_outputs(plant.prepared(), inputs, end_index, output_fn)
+
+
+@eqx.filter_custom_jvp
+def _simulate_outputs(
+    plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction
+) -> tuple[Float[Array, "grid size"], Int[Array, ""]]:
+    """``simulate_outputs`` of a prepared plant."""
     return integrate(plant, inputs, output_fn, end_index)
 
 
-@simulate_outputs.def_jvp
+@_simulate_outputs.def_jvp
 def _simulate_outputs_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     """Simulate the trajectory first, then compute the tangents along it."""
     plant, inputs, end_index, output_fn = nondifferentiable(primals, first_order_only("simulate"))
@@ -71,7 +79,6 @@ def _simulate_outputs_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -
     return (outputs, trajectory.status), (output_tangents, None)
 
 
-@eqx.filter_custom_jvp
 def outputs_along(
     plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction, trajectory: Trajectory
 ) -> Float[Array, "grid size"]:
@@ -89,13 +96,21 @@ def outputs_along(
     Returns:
         The outputs, shape ``(grid, size)``.
     """
+    return _outputs_along(plant.prepared(), inputs, end_index, output_fn, trajectory)
+
+
+@eqx.filter_custom_jvp
+def _outputs_along(
+    plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction, trajectory: Trajectory
+) -> Float[Array, "grid size"]:
+    """``outputs_along`` of a prepared plant."""
     unflatten = state_unflattener(plant, inputs)
     return jax.vmap(lambda row, signal: output_fn(plant, unflatten(row), signal))(
         trajectory.flat_states, grid_signals(inputs)
     )
 
 
-@outputs_along.def_jvp
+@_outputs_along.def_jvp
 def _outputs_along_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     """Compute the tangents along the trajectory."""
     plant, inputs, end_index, output_fn, trajectory = nondifferentiable(primals, first_order_only("simulate"))
@@ -151,7 +166,7 @@ def _forward_sensitivities(
     )
     rows = flat[:-1], flat[1:], step, step_tangents, signal[1:], later_tangents
     outputs = jax.vmap(lambda row, signal: output(plant, row, signal))(flat, signal)
-    later = _scan(push, first, rows, end_index, len(at_start))
+    later = _scan(merge_equal_operations(push), first, rows, end_index, len(at_start))
     return outputs, jnp.concatenate([at_start[None], later])
 
 

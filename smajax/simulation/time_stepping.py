@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from smajax.numerics.common_subexpressions import merge_equal_operations
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.simulation.compilation import BLOCK, block_count, in_blocks, traced_step
@@ -35,6 +36,7 @@ def integrate(
     Returns:
         The outputs at all grid points, leaves of shape ``(grid, ...)``, and the status code.
     """
+    plant = plant.prepared()
     state, signal = plant.init(inputs.sample_signals[0]), inputs.sample_signals[0]
     start = state, jnp.asarray(0), jnp.max(state.temperature)
     rows = inputs.before, inputs.after, grid_signals(inputs)[1:], jnp.diff(inputs.time)
@@ -48,11 +50,11 @@ def integrate(
         carry = state, unsolved + failed, jnp.maximum(hottest, jnp.max(state.temperature))
         return carry, output_fn(plant, state, signal)
 
-    first = output_fn(plant, state, signal)
+    first, merged = output_fn(plant, state, signal), merge_equal_operations(advance)
     if end_index is None:
-        carry, later = jax.lax.scan(advance, start, rows)
+        carry, later = jax.lax.scan(merged, start, rows)
     else:
-        carry, later = _scan_blocks(advance, start, rows, first, end_index)
+        carry, later = _scan_blocks(merged, start, rows, first, end_index)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later), simulation_status(
         *cast(tuple[Any, Any, Any], carry)
     )

@@ -5,8 +5,9 @@
 f falls from 1 at the start of the band to 0 at the finish. The laws use f limited to at least ``smoothing``: a share of
 that size never transforms, so that ratios of f and their derivatives are finite at the finish.
 
-Measures for speed, all in this file: the cosine is a polynomial, since the cosine of the library is not vectorised on a
-CPU, which would slow down batches, and its derivative is written out, since that of the polynomial would cost more.
+Measures for speed, all in this file: the cosine is a quotient of polynomials, since the cosine of the library is not
+vectorised on a CPU, which would slow down batches. Where its value is used several times, XLA computes a polynomial
+anew for each use, a quotient once. The derivative is written out, since that of the quotient would cost more.
 """
 
 import math
@@ -22,26 +23,30 @@ from smajax.numerics.nonsmooth import clip
 # Share that never transforms, by default: far below the resolution of a measurement, far above rounding (1e-16).
 DEFAULT_SMOOTHING = 1e-9
 
-# sin(pi/2 m) = m * P(m^2) on [0, 1], interpolated at the Chebyshev points of m^2, with a relative error below 5e-16.
-_SINE = (
-    1.5707963267948963,
-    -0.6459640975062273,
-    0.0796926262457332,
-    -0.004681754131665194,
-    0.00016044117004586423,
-    -3.598811286059924e-06,
-    5.688354048912463e-08,
-    -6.450375339764774e-10,
+# sin(pi/2 m) = m * P(m^2) / Q(m^2) on [0, 1], interpolated at the Chebyshev points of m^2, with a relative error below
+# 5e-16; coefficients of P and Q, the lowest power first.
+_NUMERATOR = (
+    1.5707963267948968,
+    -0.5788698130619749,
+    0.05339501735179596,
+    -0.0017979905694495456,
+    2.1226913788392643e-05,
 )
+_DENOMINATOR = (1.0, 0.04271354809008384, 0.0008236648040608502, 7.5545349118197834e-06)
 
 
 def _sine(share: jax.Array) -> jax.Array:
     """sin(pi/2 share) for a share of 0..1."""
     square = share * share
-    series = jnp.full_like(square, _SINE[-1])
-    for coefficient in _SINE[-2::-1]:
-        series = series * square + coefficient
-    return share * series
+    return share * _polynomial(_NUMERATOR, square) / _polynomial(_DENOMINATOR, square)
+
+
+def _polynomial(coefficients: tuple[float, ...], value: jax.Array) -> jax.Array:
+    """A polynomial by Horner's scheme."""
+    series = jnp.full_like(value, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        series = series * value + coefficient
+    return series
 
 
 def cosine_remainder(progress: Float[Array, "..."], smoothing: float) -> Float[Array, "..."]:

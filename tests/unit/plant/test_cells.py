@@ -54,7 +54,7 @@ def states_under(plant: Plant, current: np.ndarray, time: np.ndarray) -> State:
 def layout(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the cells in the length, and their boundaries in m."""
     assert plant.cells is not None
-    ends = np.asarray(plant.cells.boundaries(plant.wire, plant.heat, plant.environment))
+    ends = np.asarray(plant.cells.geometry(plant.wire, plant.heat, plant.environment, None).boundaries)
     return np.diff(ends) / ends[-1], ends
 
 
