@@ -82,6 +82,10 @@ CHANNELS: Mapping[str, Channel] = MappingProxyType(
         "resistance": Channel("ohm", "electrical resistance of the wire", ("ohm", "mohm", "uohm"), (-1.0, 1000.0)),
     }
 )
+# Examples of the noise of a meter by electrical input, for messages.
+NOISE_EXAMPLES: Mapping[str, str] = MappingProxyType(
+    {"current": "1 mA", "voltage": "5 mV", "power": "10 mW", "duty": "1 %"}
+)
 # Common column headers and the channels that they usually mean; used for suggestions only.
 _USUAL_HEADERS = {
     "t": "time",

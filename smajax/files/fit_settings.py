@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from smajax import parameters
-from smajax.channels import channel_of, channel_unit
+from smajax.channels import NOISE_EXAMPLES, channel_of, channel_unit
 from smajax.errors import InputError, suggestion
 from smajax.files.rig_kinds import rig_phrase
 from smajax.files.rig_schema import FitSection
@@ -24,6 +24,10 @@ _STARTS = 4
 # holds it.
 _MAX_PARAMETERS_OF_DEFAULT_STARTS = 10
 
+# Words of ``input_noise`` for inputs that are exact, and for noise that is estimated.
+INPUT_NOISE_NONE = "none"
+INPUT_NOISE_ESTIMATED = "estimated"
+
 
 @dataclass(frozen=True)
 class FitSettings:
@@ -39,6 +43,8 @@ class FitSettings:
         noise: Standard deviations in SI (K) by channel.
         starts: Number of starting points.
         seed: Seed of the random starting points.
+        input_noise: Standard deviation of the noise of the electrical inputs' meter, SI; 0 if they are exact, and
+            ``None`` if it is estimated.
     """
 
     model: str
@@ -50,6 +56,7 @@ class FitSettings:
     noise: Mapping[str, float]
     starts: int = _STARTS
     seed: int = 0
+    input_noise: float | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,9 +149,50 @@ def fit_settings(
     bounds = {name: span for name, span in set_bounds.items() if name in names} | bounds
     noise = _read_noise(fit.noise, observe, plant)
     starts = fit.starts or (_STARTS if len(names) <= _MAX_PARAMETERS_OF_DEFAULT_STARTS else len(names))
+    input_noise = read_input_noise(fit.input_noise, plant, "fit.input_noise")
     return FitSettings(
-        fit.model, tuple(free), tuple(fit.per_recording), tuple(initial), bounds, observe, noise, starts, fit.seed
+        fit.model,
+        tuple(free),
+        tuple(fit.per_recording),
+        tuple(initial),
+        bounds,
+        observe,
+        noise,
+        starts,
+        fit.seed,
+        input_noise,
     )
+
+
+def read_input_noise(text: Any, plant: Plant, place: str) -> float | None:
+    """Read the noise of the electrical inputs' meter.
+
+    Args:
+        text: Its standard deviation as a quantity, ``none`` for exact inputs, or ``estimated``.
+        plant: The plant, which determines the unit.
+        place: Section and key, or argument, for messages.
+
+    Returns:
+        The standard deviation, SI; 0 for exact inputs, ``None`` if it is estimated.
+
+    Raises:
+        InputError: If it is no quantity of this unit, is not positive, or the rig has no electrical input.
+    """
+    if text in (INPUT_NOISE_ESTIMATED, None):
+        return None
+    if text == INPUT_NOISE_NONE:
+        return 0.0
+    control = plant.drive.control
+    if not control:
+        raise InputError(f"{place} = {show(text)}, and this rig has no electrical input: leave it out")
+    cure = f'give a standard deviation such as "{NOISE_EXAMPLES[control]}", "none" or "estimated"'
+    try:
+        deviation = parse_quantity(text, channel_unit(control))
+    except InputError as error:
+        raise InputError(f"{place}: {error}; or {cure}") from None
+    if not 0.0 < deviation < math.inf:
+        raise InputError(f"{place} = {show(text)} is not positive: {cure}")
+    return deviation
 
 
 def refuse_duplicates(names: Sequence[str], place: str) -> None:

@@ -37,5 +37,6 @@ class FitSection(BaseModel):
     bounds: dict[str, Any] = Field({}, examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'])
     observe: list[str] | None = Field(None, examples=['["displacement"]'])
     noise: dict[str, Any] = Field({}, examples=['{displacement = "0.02 mm"}'])
+    input_noise: Any = Field(None, examples=['"1 mA"'])
     starts: int | None = Field(None, ge=1, le=MAX_STARTS, examples=["4"])
     seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])

@@ -5,7 +5,7 @@ from typing import Any
 from smajax import parameters
 from smajax.channels import channel_unit
 from smajax.files.channel_settings import ChannelSettings
-from smajax.files.fit_settings import FitSettings
+from smajax.files.fit_settings import INPUT_NOISE_NONE, FitSettings
 from smajax.files.rig_plant import value_of
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.files.toml import render_toml
@@ -71,4 +71,12 @@ def _fit_table(fit: FitSettings, plant: Plant) -> dict[str, Any]:
         "seed": fit.seed,
         "bounds": {n: [as_text(end, units[n]) for end in span] for n, span in fit.bounds.items()} or None,
         "noise": {c: as_text(value, channel_unit(c, difference=True)) for c, value in fit.noise.items()} or None,
+        "input_noise": _input_noise_text(fit.input_noise, plant),
     }
+
+
+def _input_noise_text(noise: float | None, plant: Plant) -> str | None:
+    """The noise of the electrical inputs' meter as it is read; ``None`` where it is estimated."""
+    if noise is None:
+        return None
+    return as_text(noise, channel_unit(plant.drive.control)) if noise else INPUT_NOISE_NONE

@@ -1,7 +1,7 @@
 """Fit a plant's free parameters to recordings."""
 
 import dataclasses
-import math
+import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -15,8 +15,15 @@ from smajax import parameters
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting.abstract_problem import residual
 from smajax.fitting.bounds import parameters_at_bounds
-from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
-from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
+from smajax.fitting.electrical_noise import (
+    RIPPLE_COST,
+    InputNoise,
+    as_ripple,
+    corrected_recordings,
+    find_input_noise,
+    shares,
+)
+from smajax.fitting.estimates import estimates_with_intervals, noise_floor, widen
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
 from smajax.fitting.memory import fit_memory, search_in_parts
 from smajax.fitting.multi_start import (
@@ -26,11 +33,11 @@ from smajax.fitting.multi_start import (
     screen_displaced_starts,
     screen_starts,
 )
-from smajax.fitting.noise import difference_noise, quantisation_noise
+from smajax.fitting.noisy_inputs import FitEnd, decide_kinds, input_covariance, simulate_errors
 from smajax.fitting.optimistix_search import OptimistixSearch
 from smajax.fitting.problem import Problem, build_problem, require_channels
 from smajax.fitting.responses import simulate_responses
-from smajax.fitting.result import Estimate, FitResult, Response
+from smajax.fitting.result import FitResult, Response
 from smajax.fitting.transformation_check import (
     TransformationGap,
     displacement_direction,
@@ -54,8 +61,6 @@ _SAME_COST = 1.001
 # by 100 K, and a search finds them from about 15 K away. Chosen by trial; tests/unit/fitting/test_transformation.py
 # holds it.
 _DISPLACED_STARTS = 7
-# Least size of a scaled parameter in the direction of a collinear group, so that one near 0 does not divide by it.
-_MIN_SIZE = 1e-3
 
 
 def fit(
@@ -75,7 +80,7 @@ def fit(
     Args:
         plant: The plant with its start values.
         recordings: Training recordings.
-        settings: Free parameters, bounds, observed channels, noise, starts and seed.
+        settings: Free parameters, bounds, observed channels, noise, noise of the electrical inputs, starts and seed.
         holdout: Recordings that are only predicted.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
@@ -88,7 +93,8 @@ def fit(
             so far if it raises ``StopIteration``, as Ctrl-C does.
 
     Returns:
-        Estimates with 95 % intervals, the fitted plants, and the responses to all recordings.
+        Estimates with 95 % intervals, the fitted plants, and the responses to all recordings, under the inputs that
+        a wire most likely gets (``smajax.fitting.electrical_noise``).
 
     Raises:
         InputError: A channel is missing, a parameter does not exist, nothing is free, or ``solver`` is no
@@ -96,25 +102,14 @@ def fit(
         NumericsError: The simulation fails at every start.
         Cancelled: The search was stopped in its first step; later, the best point is returned.
     """
-    began = time.perf_counter()
     check_solver(solver)
     if max_steps < 1:
         raise InputError(f"max_steps = {max_steps}: give a positive number of steps")
     interpolation = interpolation or plant.interpolation
-    simulation = {"holdout": holdout, "interpolation": interpolation, "step": step}
     require_channels(plant, recordings, settings.observe)
-    parts = search_in_parts(fit_memory(plant, recordings, settings, **simulation), recordings[0].name)
-    problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
-    checked = needs_transformation((*settings.free, *settings.per_recording))
-    gap = transformation_gap([problem.plant] * len(recordings), recordings, **simulation) if checked else None
-    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began, gap, parts)
-    _check_starts(search, problem, plant)
-    if not np.any(np.isfinite(search.result.costs)):
-        raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
-    best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, search.result)
-    result = _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
-    end_gap = transformation_gap(end.plants, recordings, **simulation) if checked else None
-    return dataclasses.replace(result, start_gap=gap, end_gap=end_gap)
+    options = (interpolation, step, max_steps, solver, progress)
+    run = functools.partial(_fit_with_noise, plant, recordings, settings, holdout, options)
+    return _with_input_noise(run, recordings, find_input_noise(plant, recordings, settings), settings.seed)
 
 
 def check_solver(solver: Any) -> None:
@@ -130,6 +125,115 @@ def check_solver(solver: Any) -> None:
         raise InputError(
             f"solver: give an optimistix least-squares solver, such as optimistix.Dogleg(1e-8, 1e-8), not {solver!r}"
         )
+
+
+def _with_input_noise(
+    run: Callable[..., tuple[FitResult, FitEnd]],
+    recordings: Sequence[Recording],
+    noises: tuple[InputNoise, ...],
+    seed: int,
+) -> FitResult:
+    """Fit with ``run``, again where the wire gets a part of the noise, and widen the intervals by what remains of it."""
+    result, end = run(noises)
+    inputs = corrected_recordings(recordings, noises, training=True)
+    errors = simulate_errors(end, inputs, noises, seed)
+    decided, undecided = decide_kinds(end, inputs, noises, errors)
+    if result.status is not SolverStatus.interrupted:
+        refitted = _refit(run, result, end, noises, decided)
+        if refitted is not None:
+            result, end, decided = refitted
+            undecided = undecided[:0]
+            inputs = corrected_recordings(recordings, decided, training=True)
+            errors = simulate_errors(end, inputs, decided, seed)
+    added = input_covariance(end, errors) + undecided.T @ undecided
+    return dataclasses.replace(
+        result,
+        estimates=widen(result.estimates, result.covariance, result.covariance + added),
+        covariance=result.covariance + added,
+        input_noise=decided,
+    )
+
+
+def _refit(
+    run: Callable[..., tuple[FitResult, FitEnd]],
+    result: FitResult,
+    end: FitEnd,
+    noises: tuple[InputNoise, ...],
+    decided: tuple[InputNoise, ...],
+) -> tuple[FitResult, FitEnd, tuple[InputNoise, ...]] | None:
+    """Fit again, from the end of a fit with the means of plateaus, where the wire gets a part of the scatter.
+
+    Where it is not clear that this is none or all of it, the recorded inputs are fitted as well, and taken where their
+    residual is smaller. Returns the fit, its end and the noise of the inputs; ``None`` for the first fit.
+    """
+    kept = shares(decided) == shares(noises)
+    recorded = as_ripple(decided, noises)
+    trials = [] if kept else [decided]
+    trials += [recorded] if shares(recorded) != shares(decided) else []
+    fits = [(*run(trial, start=end.vector), trial) for trial in trials]
+    if not fits:
+        return None
+    total = functools.reduce(lambda first, fit: _with_effort(fit[0], first), fits, result)
+    best = min(fits, key=lambda fit: fit[0].cost)
+    if kept and best[0].cost > RIPPLE_COST * result.cost:
+        return None
+    efforts = ("starts", "starts_at_best", "steps", "simulations", "wall_time", "compile_time", "history", "start_gap")
+    best_result = dataclasses.replace(best[0], **{name: getattr(total, name) for name in efforts})
+    return best_result, best[1], best[2]
+
+
+def _with_effort(result: FitResult, first: FitResult) -> FitResult:
+    """The result of a search that began at the end of another, with the starts and the effort of both."""
+    history = [(first.simulations + n, first.wall_time + wall, cost) for n, wall, cost in result.history]
+    return dataclasses.replace(
+        result,
+        starts=first.starts,
+        starts_at_best=first.starts_at_best,
+        steps=first.steps + result.steps,
+        simulations=first.simulations + result.simulations,
+        wall_time=first.wall_time + result.wall_time,
+        compile_time=first.compile_time + result.compile_time,
+        history=(*first.history, *history),
+        start_gap=first.start_gap,
+    )
+
+
+def _fit_with_noise(
+    plant: Plant,
+    recordings: Sequence[Recording],
+    settings: Settings,
+    holdout: Sequence[Recording],
+    options: tuple[str, float | None, int, Solver | None, Callable[[int, float], object]],
+    noises: Sequence[InputNoise],
+    start: np.ndarray | None = None,
+) -> tuple[FitResult, FitEnd]:
+    """Fit once with the inputs that a wire most likely gets: the result, and the end of its search.
+
+    ``options`` are interpolation, step, steps of the search, solver and progress of ``fit``; the only start is
+    ``start`` if it is given.
+    """
+    began = time.perf_counter()
+    interpolation, step, max_steps, solver, progress = options
+    inputs = corrected_recordings(recordings, noises, training=True)
+    more = corrected_recordings(holdout, noises, training=False)
+    simulation = {"holdout": more, "interpolation": interpolation, "step": step}
+    parts = search_in_parts(fit_memory(plant, inputs, settings, **simulation), recordings[0].name)
+    problem = build_problem(plant, inputs, settings, interpolation=interpolation, step=step)
+    checked = needs_transformation((*settings.free, *settings.per_recording))
+    gap = transformation_gap([problem.plant] * len(inputs), inputs, **simulation) if checked else None
+    search = _search(problem, settings, len(inputs), max_steps, solver, progress, began, gap, parts, start)
+    _check_starts(search, problem, plant)
+    if not np.any(np.isfinite(search.result.costs)):
+        raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
+    best, end = _best_end(problem, plant, inputs, settings, more, interpolation, step, search.result)
+    end_gap = transformation_gap(end.plants, inputs, **simulation) if checked else None
+    recorded = zip(end.responses, [*recordings, *holdout], strict=True)
+    end = end._replace(responses=[dataclasses.replace(response, recording=r) for response, r in recorded])
+    result = _fit_result(problem, search, best, end, len(inputs), settings.seed, interpolation, step)
+    result = dataclasses.replace(result, start_gap=gap, end_gap=end_gap)
+    residuals = search.result.residuals[best]
+    free = np.flatnonzero(~parameters_at_bounds(end.vector, *problem.bounds, residuals, end.jacobian))
+    return result, FitEnd(problem, end.vector, residuals, end.jacobian, free, interpolation == "hold", parts[1])
 
 
 class _Search(NamedTuple):
@@ -158,13 +262,16 @@ def _search(
     began: float,
     gap: TransformationGap | None,
     parts: tuple[bool, int],
+    start: np.ndarray | None,
 ) -> _Search:
-    """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s.
+    """Choose the starts and search from all of them, or from ``start``; ``began`` is the time at which it began, s.
 
     Where nothing transforms at the nominal values, starts are laid over values at which the wire transforms.
     """
     direction = np.zeros(len(problem.unknowns)) if gap is None else displacement_direction(problem)
-    if gap is not None and np.any(direction):
+    if start is not None:
+        starts, screening_simulations = start[None], 0
+    elif gap is not None and np.any(direction):
         count = max(_DISPLACED_STARTS, settings.starts - 1)
         arguments = (problem, count, settings.seed, direction, gap.displacements, parts[1])
         starts, screening_simulations = screen_displaced_starts(*arguments)
@@ -274,7 +381,7 @@ def _fit_result(
 ) -> FitResult:
     """The result of a fit whose best search ended at ``end``."""
     result = search.result
-    estimates, covariance, groups = _estimates(problem, end.vector, result.residuals[best], end.jacobian)
+    estimates, covariance, groups = estimates_with_intervals(problem, end.vector, result.residuals[best], end.jacobian)
     training = end.responses[:recordings]
     return FitResult(
         problem=problem,
@@ -284,7 +391,7 @@ def _fit_result(
         covariance=covariance,
         collinear_groups=tuple(groups),
         responses=tuple(end.responses),
-        noise_floor={c: max(_noise_floor(r, c) for r in training) for c in problem.channels},
+        noise_floor={c: max(noise_floor(r, c) for r in training) for c in problem.channels},
         cost=float(result.costs[best]),
         starts_at_best=int(np.sum(result.costs <= result.costs[best] * _SAME_COST)),
         starts=len(search.starts),
@@ -300,11 +407,6 @@ def _fit_result(
         step=step,
         discretisation_errors=end.discretisation_errors,
     )
-
-
-def _noise_floor(response: Response, channel: str) -> float:
-    """Noise of a channel: that of the residual's differences, and at least the rounding of the recorded channel."""
-    return max(difference_noise(response.residual(channel)), quantisation_noise(response.recording.channels[channel]))
 
 
 def _fitted_plants(
@@ -333,41 +435,3 @@ def _fitted_plants(
                 is_leaf=lambda x: x is None,
             )
     return plants, general
-
-
-def _estimates(
-    problem: Problem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
-) -> tuple[list[Estimate], np.ndarray, list[CollinearGroup]]:
-    """The estimates with their intervals, their covariance (p, p), and the groups of collinear parameters."""
-    at_bound = parameters_at_bounds(vector, *problem.bounds, residual, jacobian)
-    free = np.flatnonzero(~at_bound)
-    covariance, samples = _covariance(problem, free, residual, jacobian)
-    half_widths = confidence_half_widths(covariance, samples, len(free))
-    estimates = []
-    for i, unknown in enumerate(problem.unknowns):
-        value, half = float(vector[i] * unknown.scale), float(half_widths[i])
-        interval = (value - half, value + half) if math.isfinite(half) else (None, None)
-        bounds = (unknown.lower, unknown.upper)
-        estimates.append(Estimate(unknown.label, value, *interval, unknown.unit, bool(at_bound[i]), bounds))
-    names = [problem.unknowns[i].label for i in free]
-    sizes = np.array([max(abs(vector[i]), _MIN_SIZE) for i in free])
-    return estimates, covariance, find_collinear_groups(jacobian[:, free], names, sizes)
-
-
-def _covariance(
-    problem: Problem, free: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
-) -> tuple[np.ndarray, int]:
-    """Covariance (p, p) in internal units, NaN for parameters that are not free, and the number of samples."""
-    weight = problem.data.weight
-    measured = np.asarray(weight).reshape(-1, weight.shape[-1]) > 0
-    series = residual.reshape(measured.shape)
-    columns = jacobian.reshape(*measured.shape, -1)[..., free]
-    scaled = covariance_under_autocorrelation(
-        [columns[k][rows] for k, rows in enumerate(measured)],
-        [series[k][rows] for k, rows in enumerate(measured)],
-        len(free),
-    )
-    scales = np.array([u.scale for u in problem.unknowns])[free]
-    covariance = np.full((len(problem.unknowns),) * 2, np.nan)
-    covariance[np.ix_(free, free)] = scaled * np.outer(scales, scales)
-    return covariance, int(np.sum(measured))

@@ -10,7 +10,6 @@ Source: cook1994.
 """
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from smajax.channels import channel_unit
 from smajax.fitting.abstract_problem import residual
 from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartSolver
-from smajax.fitting.noise import MEDIAN_TO_DEVIATION
+from smajax.fitting.noise import row_noise
 from smajax.fitting.problem import build_problem
 from smajax.fitting.result import FitResult
 from smajax.fitting.unknowns import Settings
@@ -33,32 +32,9 @@ _DRAWS = 3
 # Most steps of a fit with added noise, which starts at the end of the first fit; chosen by trial, held by the same
 # tests.
 _MAX_STEPS = 20
-# Noise below this share of a column's range has no effect; chosen by trial, held by the same tests.
-_MIN_NOISE = 1e-4
-# Above this share of the range it is the input itself, not noise; chosen by trial, held by the same tests.
-_MAX_NOISE = 0.05
-# Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 times its variance.
-_FOURTH_DIFFERENCE_GAIN = math.sqrt(70.0)
 # Least bias that is reported, as a share of the interval's width: a bias of half the width alone puts the true value
 # outside the interval.
 _REPORTED_SHARE = 0.5
-
-
-def row_noise(values: np.ndarray) -> float:
-    """Estimate the standard deviation of a column's scatter from row to row, from its fourth differences.
-
-    Args:
-        values: The column (n,); NaN where not measured.
-
-    Returns:
-        The standard deviation in the column's unit; 0 where the scatter is negligible, or so large that it is the
-        input itself.
-    """
-    fourth = np.diff(values, 4)
-    fourth = fourth[np.isfinite(fourth)]
-    noise = MEDIAN_TO_DEVIATION * float(np.median(np.abs(fourth))) / _FOURTH_DIFFERENCE_GAIN if len(fourth) else 0.0
-    span = float(np.nanmax(values) - np.nanmin(values))
-    return noise if _MIN_NOISE * span < noise < _MAX_NOISE * span else 0.0
 
 
 def input_noise_warnings(

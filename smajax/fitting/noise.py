@@ -19,6 +19,13 @@ _MIN_LEVELS = 4
 _MIN_LEVEL_GAP = 1e-9
 # The smallest gap between levels is at most this multiple of the step; more would need a column whose levels are rarer.
 _MAX_GAP = 10
+# Noise below this share of a column's range has no effect. Chosen by trial, held by
+# tests/unit/fitting/test_input_noise.py, as is the next one.
+_MIN_NOISE = 1e-4
+# Above this share of the range it is the input itself, not noise; chosen by trial.
+_MAX_NOISE = 0.05
+# Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 times its variance.
+_FOURTH_DIFFERENCE_GAIN = math.sqrt(70.0)
 
 
 def difference_noise(values: np.ndarray) -> float:
@@ -33,9 +40,37 @@ def difference_noise(values: np.ndarray) -> float:
         The standard deviation in the column's unit: at least its rounding and 1e-5 of its range.
     """
     values = values[np.isfinite(values)]
+    return max(second_difference_noise(values), rounding_noise(values), _MIN_RELATIVE_NOISE * float(np.ptp(values)))
+
+
+def second_difference_noise(values: np.ndarray) -> float:
+    """Estimate the standard deviation of white noise from second differences, without a lower limit.
+
+    Args:
+        values: The column (n,), all measured.
+
+    Returns:
+        The standard deviation in the column's unit; 0 with fewer than three rows.
+    """
     second = np.diff(values, 2)
-    spread = MEDIAN_TO_DEVIATION * float(np.median(np.abs(second))) / _SECOND_DIFFERENCE_GAIN if len(second) else 0.0
-    return max(spread, rounding_noise(values), _MIN_RELATIVE_NOISE * float(np.ptp(values)))
+    return MEDIAN_TO_DEVIATION * float(np.median(np.abs(second))) / _SECOND_DIFFERENCE_GAIN if len(second) else 0.0
+
+
+def row_noise(values: np.ndarray) -> float:
+    """Estimate the standard deviation of a column's scatter from row to row, from its fourth differences.
+
+    Args:
+        values: The column (n,); NaN where not measured.
+
+    Returns:
+        The standard deviation in the column's unit; 0 where the scatter is negligible, or so large that it is the
+        input itself.
+    """
+    fourth = np.diff(values, 4)
+    fourth = fourth[np.isfinite(fourth)]
+    noise = MEDIAN_TO_DEVIATION * float(np.median(np.abs(fourth))) / _FOURTH_DIFFERENCE_GAIN if len(fourth) else 0.0
+    span = float(np.nanmax(values) - np.nanmin(values))
+    return noise if _MIN_NOISE * span < noise < _MAX_NOISE * span else 0.0
 
 
 def rounding_noise(values: np.ndarray) -> float:

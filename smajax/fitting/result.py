@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from smajax.fitting.collinearity import CollinearGroup
+from smajax.fitting.electrical_noise import InputNoise
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.problem import Problem
 from smajax.fitting.transformation_check import TransformationGap
@@ -96,6 +97,7 @@ class FitResult:
         start_gap: How far the wire is from transforming at the start values; ``None`` where it transforms, or where no
             parameter of the transformations is free.
         end_gap: The same at the estimates.
+        input_noise: Noise of each electrical input, whose effect the estimates and the intervals contain.
     """
 
     problem: Problem
@@ -122,6 +124,7 @@ class FitResult:
     discretisation_errors: dict[str, float]
     start_gap: TransformationGap | None = None
     end_gap: TransformationGap | None = None
+    input_noise: tuple[InputNoise, ...] = ()
 
     @property
     def correlation(self) -> np.ndarray:

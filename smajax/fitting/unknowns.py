@@ -26,6 +26,9 @@ _TYPICAL_SCALES = {"K": 10.0, "W/m^2/K": 100.0, "W/m^2/K^2": 0.5, "W/m^2/K^3": 0
 class Settings(Protocol):
     """Settings of a fit; ``smajax.files.rig_file.FitSettings`` has these attributes.
 
+    A further attribute ``input_noise`` (float or ``None``) is used if there is one: the standard deviation of the noise
+    of the electrical inputs' meter, SI; 0 where they are exact, and ``None``, the default, if it is estimated.
+
     Attributes:
         free: Names of the free parameters.
         per_recording: Names of the parameters of which each recording has its own value.

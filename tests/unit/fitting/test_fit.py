@@ -16,6 +16,7 @@ from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting import fit as fit_module
 from smajax.fitting import intervals
 from smajax.fitting.autoregression import fit_autoregression
+from smajax.fitting.estimates import estimates_with_intervals
 from smajax.fitting.fit import fit
 from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
@@ -314,7 +315,7 @@ def test_what_comes_near_a_bound_that_the_data_press_against_is_there(result, aw
     vector = np.append(1.0 + 2.0 * away, result.vector[1:])
     jacobian = np.asarray(jax.jacfwd(problem.residual)(jnp.asarray(result.vector)))
     pressed = 1e-3 * jacobian[:, 0]  # less of the parameter leaves less
-    estimates, *_ = fit_module._estimates(problem, vector, pressed, jacobian)
+    estimates, *_ = estimates_with_intervals(problem, vector, pressed, jacobian)
     assert estimates[0].at_bound == held and (estimates[0].lower95 is None) == held
 
 
