@@ -19,7 +19,7 @@ from smajax.api.split import fit_sources
 from smajax.api.study import FileContent, Study, interval_of
 from smajax.arguments import MAX_STARTS, as_names, seed_or_default, whole_number
 from smajax.errors import Cancelled, InputError, NumericsError
-from smajax.files.fit_settings import FitSettings
+from smajax.files.fit_settings import FitSettings, read_input_noise
 from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
@@ -98,6 +98,7 @@ def fit(
     start: str | Path | None = None,
     seed: int | None = None,
     starts: int | None = None,
+    input_noise: str | float | None = None,
     max_steps: int = MAX_STEPS,
     profile: Sequence[str] = (),
     solver: Any = None,
@@ -115,17 +116,17 @@ def fit(
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
         seed: Seed of the starting points; that of the rig by default.
         starts: Number of starting points; that of the rig by default.
+        input_noise: Noise of the inputs' meter: ``"1 mA"``, ``"none"``, or ``"estimated"``; the rig's by default.
         max_steps: Most steps of the search from each start.
         profile: Parameters whose profile likelihood is computed.
         solver: Any optimistix least-squares solver; by default a bounded Levenberg-Marquardt method.
         auto: Whether an offset that the recordings show is fitted, too.
         split: Whether the last quarter of the only recording is its holdout.
         drop_bad_rows: Whether to omit rows that cannot be read.
-        progress: Function that gets a ``ProgressEvent`` for each phase and step; ``StopIteration`` stops the fit.
+        progress: Function that gets a ``ProgressEvent`` at each step; ``StopIteration`` stops the fit.
 
     Returns:
-        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why; the same for a fit
-        that explains nothing (``smajax.fitting.fit_quality``).
+        The study. Failed numerics, and a fit that explains nothing, do not raise: ``success`` is then false.
 
     Raises:
         InputError: If a file or an argument is not valid.
@@ -134,10 +135,9 @@ def fit(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        rig, options = as_rig(rig), (seed, starts, max_steps)
-        train, holdout = fit_sources(rig, train, holdout, split, drop_bad_rows)
-        inputs = _read_inputs(rig, train, holdout, start, options, profile, drop_bad_rows)
-        inputs = _with_findings(inputs, auto, reporter)
+        rig, options = as_rig(rig), (seed, starts, max_steps, input_noise)
+        sources = fit_sources(rig, train, holdout, split, drop_bad_rows)
+        inputs = _with_findings(_read_inputs(rig, *sources, start, options, profile, drop_bad_rows), auto, reporter)
     search, failure = _without_meaning(_search(inputs, solver, max_steps, reporter, clock), inputs, auto)
     reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search, failure)
@@ -175,10 +175,12 @@ def _why_no_minimum(result: FitResult | None, solver: Any) -> str:
     return result.status.text if result is not None and result.status in codes else ""
 
 
-def _options(rig: Rig, seed: Any, starts: Any, max_steps: Any) -> dict[str, int]:
+def _options(rig: Rig, seed: Any, starts: Any, max_steps: Any, input_noise: Any) -> dict[str, int | float | None]:
     """Settings of a fit that arguments replace, after a check of them and of the number of steps."""
     whole_number("fit", "max_steps", max_steps, 1, sys.maxsize)
-    options = {"seed": seed_or_default("fit", seed, rig.fit.seed)}
+    options: dict[str, int | float | None] = {"seed": seed_or_default("fit", seed, rig.fit.seed)}
+    if input_noise is not None:
+        options["input_noise"] = read_input_noise(input_noise, rig.plant, "fit: input_noise")
     return options if starts is None else options | {"starts": whole_number("fit", "starts", starts, 1, MAX_STARTS)}
 
 
@@ -213,7 +215,7 @@ def _read_inputs(
     train: Any,
     holdout: Any,
     start: str | Path | None,
-    options: tuple[Any, Any, Any],
+    options: tuple[Any, Any, Any, Any],
     profile: Sequence[str],
     drop_bad_rows: bool,
 ) -> _FitInputs:

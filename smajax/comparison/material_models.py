@@ -36,7 +36,8 @@ def fit_material_model(rig: Rig, name: str, recordings: Sequence[Recording], cha
         KeyboardInterrupt: If the fit was interrupted.
     """
     rig_with_law = with_material_law(rig, name)
-    settings = cast(Any, dataclasses.replace(rig_with_law.fit, seed=seed))
+    # Models without physics take the recorded input, and so do all.
+    settings = cast(Any, dataclasses.replace(rig_with_law.fit, seed=seed, input_noise=0.0))
     rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
     check_rows(recordings[0].name, rows, len(settings.names), name)
     result = fit(rig_with_law.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)

@@ -27,7 +27,7 @@ from smajax.fitting.plateaus import Plateaus, find_plateaus, pooled_noise
 from smajax.fitting.unknowns import Settings
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
-from smajax.units import as_text
+from smajax.units import as_text, from_si
 
 # Shares of ripple that count as none and as all. Chosen by trial: what the rest does to an estimate is below its
 # interval; experiments/fitting/input_noise_coverage.py shows it.
@@ -96,12 +96,16 @@ class InputNoise:
         """Share of the deviations from plateaus that the inputs of the fit keep."""
         return self.share if self.kind in (NoiseKind.ripple, NoiseKind.both) else 0.0
 
-    @property
-    def sentence(self) -> str:
-        """The noise, what it is, and what the fit made of it, in words."""
+    def sentence(self, unit: str = "") -> str:
+        """Say how much noise there is, what it is, and what the fit made of it.
+
+        Args:
+            unit: Unit of the recording's column, in which it is shown; the internal one by default.
+        """
         if self.kind is NoiseKind.none:
-            return f"{self.channel} has no noise that shows on its plateaus."
-        size = as_text(float(f"{self.deviation:.2g}"), channel_unit(self.channel, difference=True))
+            return f"{self.channel} shows no noise."
+        internal = channel_unit(self.channel, difference=True)
+        size = f"{from_si(self.deviation, unit or internal, internal):.2g} {unit or internal}"
         places = f"{self.count} plateau{'s' * (self.count != 1)}"
         if self.kind is NoiseKind.no_plateaus:
             return self._sentence_without_plateaus(size)

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,8 +12,7 @@ import numpy as np
 import optimistix as optx
 
 from smajax import parameters
-from smajax.errors import Cancelled, InputError, NumericsError
-from smajax.fitting.abstract_problem import residual
+from smajax.errors import Cancelled, InputError
 from smajax.fitting.bounds import parameters_at_bounds
 from smajax.fitting.electrical_noise import (
     RIPPLE_COST,
@@ -24,43 +23,29 @@ from smajax.fitting.electrical_noise import (
     shares,
 )
 from smajax.fitting.estimates import estimates_with_intervals, noise_floor, widen
-from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.memory import fit_memory, search_in_parts
 from smajax.fitting.multi_start import (
-    SEQUENTIAL_FROM,
     MultiStartResult,
-    MultiStartSolver,
-    screen_displaced_starts,
-    screen_starts,
 )
 from smajax.fitting.noisy_inputs import FitEnd, decide_kinds, input_covariance, simulate_errors
-from smajax.fitting.optimistix_search import OptimistixSearch
 from smajax.fitting.problem import Problem, build_problem, require_channels
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import FitResult, Response
+from smajax.fitting.searches import Searches, Solver, check_starts, first_step_excess, search_from_starts
 from smajax.fitting.transformation_check import (
-    TransformationGap,
-    displacement_direction,
     needs_transformation,
     transformation_gap,
 )
 from smajax.fitting.unknowns import Settings
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
-from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.status import SimulationStatus
-
-Solver: TypeAlias = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.AbstractMinimiser[Any, Any, Any]
 
 # Most steps of a search unless more are asked for; fits of rigs that converge take 5 to 60.
 MAX_STEPS = 100
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
-# Least number of starts where nothing transforms at the nominal values: transformation temperatures may have to change
-# by 100 K, and a search finds them from about 15 K away. Chosen by trial; tests/unit/fitting/test_transformation.py
-# holds it.
-_DISPLACED_STARTS = 7
 
 
 def fit(
@@ -133,7 +118,7 @@ def _with_input_noise(
     noises: tuple[InputNoise, ...],
     seed: int,
 ) -> FitResult:
-    """Fit with ``run``, again where the wire gets a part of the noise, and widen the intervals by what remains of it."""
+    """Fit with ``run``, again where the wire gets a part of the noise, and widen the intervals by the rest of it."""
     result, end = run(noises)
     inputs = corrected_recordings(recordings, noises, training=True)
     errors = simulate_errors(end, inputs, noises, seed)
@@ -221,8 +206,8 @@ def _fit_with_noise(
     problem = build_problem(plant, inputs, settings, interpolation=interpolation, step=step)
     checked = needs_transformation((*settings.free, *settings.per_recording))
     gap = transformation_gap([problem.plant] * len(inputs), inputs, **simulation) if checked else None
-    search = _search(problem, settings, len(inputs), max_steps, solver, progress, began, gap, parts, start)
-    _check_starts(search, problem, plant)
+    search = search_from_starts(problem, settings, len(inputs), max_steps, solver, progress, began, gap, parts, start)
+    check_starts(search, problem, plant)
     if not np.any(np.isfinite(search.result.costs)):
         raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
     best, end = _best_end(problem, plant, inputs, settings, more, interpolation, step, search.result)
@@ -234,80 +219,6 @@ def _fit_with_noise(
     residuals = search.result.residuals[best]
     free = np.flatnonzero(~parameters_at_bounds(end.vector, *problem.bounds, residuals, end.jacobian))
     return result, FitEnd(problem, end.vector, residuals, end.jacobian, free, interpolation == "hold", parts[1])
-
-
-class _Search(NamedTuple):
-    """The searches of a fit.
-
-    Attributes:
-        starts: Start points (s, p).
-        result: The ends of the searches.
-        screening_simulations: Simulations that chose the starts.
-        screening_time: Time until the starts were chosen, s; 0 where none were.
-    """
-
-    starts: np.ndarray
-    result: MultiStartResult
-    screening_simulations: int
-    screening_time: float
-
-
-def _search(
-    problem: Problem,
-    settings: Settings,
-    recordings: int,
-    max_steps: int,
-    solver: Solver | None,
-    progress: Callable[[int, float], object],
-    began: float,
-    gap: TransformationGap | None,
-    parts: tuple[bool, int],
-    start: np.ndarray | None,
-) -> _Search:
-    """Choose the starts and search from all of them, or from ``start``; ``began`` is the time at which it began, s.
-
-    Where nothing transforms at the nominal values, starts are laid over values at which the wire transforms.
-    """
-    direction = np.zeros(len(problem.unknowns)) if gap is None else displacement_direction(problem)
-    if start is not None:
-        starts, screening_simulations = start[None], 0
-    elif gap is not None and np.any(direction):
-        count = max(_DISPLACED_STARTS, settings.starts - 1)
-        arguments = (problem, count, settings.seed, direction, gap.displacements, parts[1])
-        starts, screening_simulations = screen_displaced_starts(*arguments)
-    else:
-        starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed, parts[1])
-    screening_time = time.perf_counter() - began if screening_simulations else 0.0
-    arguments = (residual, problem, starts, *problem.bounds)
-    solver = BoundedLevenbergMarquardt() if solver is None else solver
-    if isinstance(solver, BoundedLevenbergMarquardt):
-        sequential = recordings >= SEQUENTIAL_FROM or parts[0] or problem.has_structure
-        searches = MultiStartSolver(
-            *arguments,
-            size=problem.size,
-            rtol=float(solver.rtol),
-            sequential=sequential,
-            secant_updates=problem.has_structure,
-        )
-    else:
-        searches = OptimistixSearch(solver, *arguments, size=problem.size)
-    return _Search(starts, searches.advance(max_steps, progress).result(), screening_simulations, screening_time)
-
-
-def _check_starts(search: _Search, problem: Problem, plant: Plant) -> None:
-    """Raise ``NumericsError`` if the simulation fails at every start."""
-    if any(status is not SolverStatus.failed for status in search.result.statuses):
-        return
-    _, codes = jit_with_kernels(lambda p, v: p.predict(v))(problem, jnp.asarray(search.starts[0]))
-    status = SimulationStatus(int(jnp.max(codes)))
-    raise NumericsError(f"{status.name} at the start values: {status.hint}; parameters: {describe_parameters(plant)}")
-
-
-def _first_step_excess(result: MultiStartResult) -> float:
-    """Time by which the first step took longer than the later ones: that of compiling, s."""
-    first = result.history[0][1] if result.history else 0.0
-    later = (result.wall_time - first) / max(len(result.history) - 1, 1)
-    return max(first - later, 0.0)
 
 
 class _End(NamedTuple):
@@ -371,7 +282,7 @@ def _best_end(
 
 def _fit_result(
     problem: Problem,
-    search: _Search,
+    search: Searches,
     best: int,
     end: _End,
     recordings: int,
@@ -399,7 +310,7 @@ def _fit_result(
         steps=result.steps,
         simulations=recordings * result.simulations + search.screening_simulations,
         wall_time=result.wall_time,
-        compile_time=search.screening_time + _first_step_excess(result),
+        compile_time=search.screening_time + first_step_excess(result),
         history=tuple(result.history),
         seed=seed,
         vector=end.vector,

@@ -11,6 +11,7 @@ from smajax.files.file_units import file_units
 from smajax.files.fit_settings import FitSettings
 from smajax.files.plausible_ranges import implausible_values, plausible_range
 from smajax.files.rig_file import Rig
+from smajax.fitting.electrical_noise import InputNoise
 from smajax.fitting.fit_warnings import transformation_notices
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.noise import quantisation_noise
@@ -79,6 +80,7 @@ def fit_document(
         "notices": [] if _has_doubtful_scale(bench) else transformation_notices(result),
         "warnings": [*failed, *warnings, *(value.sentence for value in implausible)],
         "implausible": [implausible_entry(value) for value in implausible],
+        "input_noise": [_input_noise_entry(noise, result) for noise in result.input_noise],
         "seed": result.seed,
         "smajax": __version__,
     }
@@ -146,6 +148,20 @@ def _solver_entry(result: FitResult) -> dict[str, Any]:
         "compile_s": finite_or_none(result.compile_time),
         "starts": result.starts,
         "starts_at_best": result.starts_at_best,
+    }
+
+
+def _input_noise_entry(noise: InputNoise, result: FitResult) -> dict[str, Any]:
+    unit, factor = difference_unit(result.responses[0].recording, noise.channel)
+    return {
+        "channel": noise.channel,
+        "value": finite_or_none(noise.deviation, factor),
+        "unit": unit,
+        "from": "given" if noise.given else "estimated",
+        "kind": noise.kind.value,
+        "share": finite_or_none(noise.share),
+        "plateaus": noise.count,
+        "text": noise.sentence(unit),
     }
 
 

@@ -249,8 +249,9 @@ def readable(
 
 
 def remarks(doc: Document) -> list[str]:
-    """List sentences about collinear parameters, bounds, starts, time steps, repairs of recordings, and warnings."""
+    """List sentences about noisy inputs, collinear parameters, bounds, starts, steps, repairs, and warnings."""
     return [
+        *_noise_sentences(doc),
         *_undetermined_sentences(doc),
         *collinear_sentences(doc),
         *_bound_sentences(doc),
@@ -310,6 +311,18 @@ def _round_to(value: float | None, half: float) -> str:
     if size >= _LARGE_EXPONENT or (size < _SMALL_EXPONENT and place < _SMALL_EXPONENT):
         return f"{value:.{max(size - place, 0)}e}"
     return f"{round(value, -place):.{max(-place, 0)}f}"
+
+
+def _noise_sentences(doc: Document) -> list[str]:
+    """Sentences about the noise of electrical inputs, and about intervals where more than noise remains."""
+    sentences = [n["text"] for n in doc.get("input_noise", ()) if n["kind"] != "none"]  # absent in earlier documents
+    above = [v.channel for v in residual_verdicts(doc) if v.ratio > _AT_NOISE]
+    if above and not doc.get("failure"):
+        sentences.append(
+            f"The residual of {_join_names(above)} is above its noise: neighbouring samples err together, which the "
+            "covariance behind the intervals contains (autocorrelation-robust, or sandwich)."
+        )
+    return sentences
 
 
 def _undetermined_sentences(doc: Document) -> list[str]:

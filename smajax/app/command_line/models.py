@@ -85,6 +85,12 @@ def fit(
     starts: Annotated[
         int | None, typer.Option("--starts", min=1, max=MAX_STARTS, help="Points to start from (default: the rig's).")
     ] = None,
+    input_noise: Annotated[
+        str | None,
+        typer.Option(
+            "--input-noise", metavar="QUANTITY", help="Noise of the input's meter: '1 mA', none, or estimated."
+        ),
+    ] = None,
     max_steps: Annotated[
         int, typer.Option("--max-steps", min=1, max=MAX_STEPS, help="Most steps of the search from each start.")
     ] = DEFAULT_MAX_STEPS,
@@ -111,6 +117,7 @@ def fit(
             start=start,
             seed=seed,
             starts=starts,
+            input_noise=input_noise,
             max_steps=max_steps,
             profile=profile or (),
             auto=auto,

@@ -106,6 +106,26 @@ class ProfileEntry(Part):
         return self
 
 
+class InputNoiseEntry(Part):
+    """Noise of an electrical input of the fit."""
+
+    channel: str = Field(description="the input")
+    value: Number = Field(description="standard deviation of a row, in the unit")
+    unit: str = Field(description="unit of the recording's column")
+    source: Literal["given", "estimated"] = Field(
+        alias="from", description="whether the rig file or the caller gives it, or it was estimated"
+    )
+    kind: Literal["none", "meter", "ripple", "both", "undecided", "no-plateaus"] = Field(
+        description="noise of the meter, ripple that the wire gets, both, or not decided; no-plateaus where the input "
+        "does not stay at levels, so that the estimates are not corrected"
+    )
+    share: Number = Field(description="share of the variance that the wire gets; null if it is not known")
+    plateaus: int = Field(
+        ge=0, description="number of parts of the training recordings in which the command is constant"
+    )
+    text: str = Field(description="the same in sentences, with the reason")
+
+
 class SolverEntry(Part):
     """How the search ended, and its effort."""
 
@@ -176,6 +196,11 @@ class FitDocument(Document):
         default_factory=list,
         description="fitted parameters outside of what an alloy can have, also among the warnings; absent in earlier "
         "documents",
+    )
+    input_noise: list[InputNoiseEntry] = Field(
+        default_factory=list,
+        description="noise of the electrical inputs, which estimates and intervals contain; empty where they are taken "
+        "as exact on request, or there are none; absent in earlier documents",
     )
     seed: int = Field(description="seed of all random numbers")
     smajax: str = Field(description="version of smajax that computed the result")
