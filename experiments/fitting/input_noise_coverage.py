@@ -2,9 +2,10 @@
 
     python experiments/fitting/input_noise_coverage.py [--fits N] [--quick] [--json FILE] [--out DIR]
 
-The exact reference simulator lifts the dead weight of ``interval_coverage.py`` under a current of levels. Each repetition
-adds another draw of noise to the displacement, as there, and white noise to the recorded current only: 0, 0.3, 1 and 3 %
-of 0.33 A. The second part has the same noise as ripple, which the wire gets; the current is then recorded right.
+The exact reference simulator lifts the dead weight of ``interval_coverage.py`` under a current of levels. Each
+repetition adds another draw of noise to the displacement, as there, and white noise to the recorded current only: 0,
+0.3, 1 and 3 % of 0.33 A. In the last rows a tenth of the repetitions has the same noise as ripple, which the wire gets;
+the current is then recorded right.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def coverage_rows(level: float, corrected: list[FitResult], exact: list[FitResul
     rows, low, high = [], *TARGET
     for i, name in enumerate(TRUTH):
         share, before = float(inside[i]), float(inside_exact[i])
-        text = f"{100 * share:.1f} % of {len(corrected)}; {100 * before:.1f} % of {len(exact)} with the current as exact"
+        text = f"{100 * share:.1f} % of {len(corrected)}; "
+        text += f"{100 * before:.1f} % of {len(exact)} with the current as exact"
         what = f"{100 * level:g} %: {name}"
         numbers = {"coverage": share, "coverage_exact": before, "fits": len(corrected)}
         rows.append(Row(what, f"{100 * low:g} to {100 * high:g} %", text, low <= share <= high, numbers))
