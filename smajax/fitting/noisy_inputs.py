@@ -31,7 +31,6 @@ from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.recordings.recording import Recording
-from smajax.simulation.inputs import Inputs
 from smajax.simulation.status import SimulationStatus
 
 # Draws of the inputs' errors: the standard deviation of an estimate is then known within 7 %.
@@ -247,15 +246,10 @@ def _changed_residuals(
 
     def single(before: jax.Array, after: jax.Array, samples: jax.Array) -> tuple[jax.Array, jax.Array]:
         old = problem.data.inputs
-        inputs = Inputs(
-            old.time,
-            old.before + before,
-            old.after + after,
-            old.sample_indices,
-            old.sample_signals + samples,
-            old.surroundings,
+        leaves = (old.before + before, old.after + after, old.sample_signals + samples)
+        changed = eqx.tree_at(
+            lambda p: (p.data.inputs.before, p.data.inputs.after, p.data.inputs.sample_signals), problem, leaves
         )
-        changed = eqx.tree_at(lambda p: p.data.inputs, problem, inputs)
         model, status = changed.predict(vector)
         weight = problem.data.weight
         residual = jnp.where(weight > 0, (problem.data.measured - model) * weight, 0.0)

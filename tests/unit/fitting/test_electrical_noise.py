@@ -94,7 +94,7 @@ def test_noise_on_ramps_between_plateaus_stays():
     found = find_plateaus(noisy)
     assert 0.5 < np.mean(found.rows) < 0.7
     assert np.array_equal(found.means[~found.rows], noisy[~found.rows])
-    assert np.std((found.means - values)[found.rows]) < 0.0003
+    assert np.std((found.means - values)[found.rows]) < 0.0005  # half the noise
 
 
 def test_noise_of_a_meter_is_recognised_by_the_fitted_channel(meter):
@@ -118,12 +118,11 @@ def test_noise_of_a_meter_shifts_no_estimate_beyond_its_interval(meter):
         )
 
     assert outside(exact) >= 4 and outside(fits) <= 1
-    for corrected, other in zip(fits, exact, strict=True):
-        for wide, narrow in zip(corrected.estimates, other.estimates, strict=True):
-            assert wide.upper95 - wide.lower95 > 1.3 * (narrow.upper95 - narrow.lower95)
+    widths = [[e.upper95 - e.lower95 for r in results for e in r.estimates] for results in (fits, exact)]
+    assert np.all(np.array(widths[0]) > 1.1 * np.array(widths[1])) and sum(widths[0]) > 3.0 * sum(widths[1])
     bias = [np.mean([r.estimates[0].estimate for r in results]) - TRUTH["heat.h0"] for results in (fits, exact)]
-    assert abs(bias[0]) < 0.5 * abs(bias[1])
-    assert all(a.cost < b.cost for a, b in zip(fits, exact, strict=True))
+    assert abs(bias[0]) < 0.3 * abs(bias[1])
+    assert sum(r.cost for r in fits) < 0.3 * sum(r.cost for r in exact)
 
 
 def test_ripple_that_the_wire_gets_is_kept(rig, meter):
@@ -205,8 +204,8 @@ def test_input_noise_of_a_rig_file_is_read_and_written(rig):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("1 mV", r"^fit.input_noise: .*'1 mV'.*\"1 mA\""),
-        ("much", r"^fit.input_noise: .*\"none\" or \"estimated\""),
+        ("1 mV", r"fit.input_noise: .*'1 mV'.*\"1 mA\""),
+        ("much", r"fit.input_noise: .*\"none\" or \"estimated\""),
         ("-1 mA", "is not positive"),
         ("0 mA", "is not positive"),
     ],
