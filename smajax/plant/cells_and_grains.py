@@ -122,7 +122,7 @@ class CellsAndGrains(eqx.Module):
         assert weights is not None
         return jnp.sum(weights[..., None] * temperature[None, None], axis=2)
 
-    def _mean_slope(self, slope: Float[Array, "*grains wires"]) -> Float[Array, "*cells wires"]:
+    def _mean_slope(self, slope: Float[Array, "*grains wires"]) -> Float[Array, "*slopes wires"]:
         """The derivatives of a mean over the grains of each cell by the temperatures of all cells (second axis).
 
         Without grains, or where all grains have the temperature of their cell, those by the temperature of the cell.
@@ -134,7 +134,7 @@ class CellsAndGrains(eqx.Module):
         return jnp.einsum("giw,gij->ijw", slope, weights) / self.grains.count
 
     def _change_in_cells(
-        self, slope: Float[Array, "*cells wires"], temperature: Float[Array, "*cells wires"]
+        self, slope: Float[Array, "*slopes wires"], temperature: Float[Array, "*cells wires"]
     ) -> Float[Array, "*cells wires"]:
         """The change of a mean over grains with the temperatures of the cells, from its ``_mean_slope``."""
         return slope * temperature if slope.ndim == temperature.ndim else jnp.sum(slope * temperature[None], axis=1)
