@@ -10,6 +10,7 @@ from smajax.control.analysis.closed_loop_checks import (
     GainEvaluation,
     fails_to_track,
     idle_error,
+    metric_of_limit,
     violated_limits,
 )
 from smajax.control.analysis.instability import Instability
@@ -20,7 +21,9 @@ from smajax.control.tuning.tuning_study import ControllerTuning, UnreachableRefe
 from smajax.files.documents import finite_or_none
 from smajax.report import prediction
 from smajax.report.documents.tune import TuneDocument
-from smajax.report.tuning import format_metric, margin_words, stabilising_advice
+from smajax.report.tune_entries import check_entry, jump_entries
+from smajax.report.tuning import margin_words, stabilising_advice
+from smajax.report.tuning_metrics import format_metric
 
 # Instabilities in words, by code.
 _INSTABILITIES = {
@@ -54,7 +57,7 @@ def tune_document(study: ControllerTuning) -> dict[str, Any]:
         "controller": settings.name,
         "channel": settings.loop.channel,
         "unit": CHANNELS[settings.loop.channel].unit,
-        "feasible": not (violated or tuned.unstable or tuned.margins.unstable or failures),
+        "feasible": not (violated or tuned.unstable or tuned.margins.unstable or failures or _fails_cases(study)),
         "problems": _problems(study, checks),
         "gains": table,
         "metrics": {
@@ -66,6 +69,7 @@ def tune_document(study: ControllerTuning) -> dict[str, Any]:
             "start": {n: finite_or_none(v) for n, v in start.margins._asdict().items()},
             "tuned": {n: finite_or_none(v) for n, v in tuned.margins._asdict().items()},
         },
+        "jumps": jump_entries(study),
         "stable": {"start": not start.unstable, "tuned": not tuned.unstable},
         "robust": checks,
         "start_kept": bool(checks) and all(entry["start"] == entry["tuned"] for entry in table.values()),
@@ -76,7 +80,17 @@ def tune_document(study: ControllerTuning) -> dict[str, Any]:
     }
     if study.other_weights:
         document["objective"]["asked"] = dict(study.file_weights)
+    if start.low_margins is not None and tuned.low_margins is not None:
+        document["low_margins"] = {
+            when: {n: finite_or_none(v) for n, v in margins._asdict().items()}
+            for when, margins in (("start", start.low_margins), ("tuned", tuned.low_margins))
+        }
     return document | _optional_entries(study)
+
+
+def _fails_cases(study: ControllerTuning) -> bool:
+    """Whether the tuned gains fail in any case of the check."""
+    return bool(study.case_checks) and bool(study.case_checks["tuned"].failing)
 
 
 def _optional_entries(study: ControllerTuning) -> dict[str, Any]:
@@ -90,6 +104,8 @@ def _optional_entries(study: ControllerTuning) -> dict[str, Any]:
     if settings.system.carrier is not None:
         rmse = finite_or_none(study.rmse_of_mean)
         entries["pulses"] = {"carrier": settings.system.carrier, "rmse_of_mean": rmse}
+    if study.case_checks:
+        entries["case_check"] = check_entry(study)
     if loop.use_estimate and loop.instruments is not None:
         entries["believes"] = sorted(loop.instruments.sensors)
     return entries
@@ -121,9 +137,7 @@ def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
         margins = margin_words(start.margins.gain, start.margins.phase)
         problems.append(f"the start gains are unstable, linearised along their rollout, with {margins}")
     problems += [_unreachable_words(settings, study.unreachable)] if study.unreachable is not None else []
-    problems += [
-        _limit_words(settings, name, tuned.metrics) for name in violated_limits(settings.limits, tuned.metrics)
-    ]
+    problems += _missed_limits(study)
     if tuned.unstable:
         problems.append(f"the best gains are unstable: {_instability_words(tuned.unstable)}")
     elif tuned.margins.unstable:
@@ -144,6 +158,32 @@ def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
             "or raise robust.draws"
         )
     return problems
+
+
+def _missed_limits(study: ControllerTuning) -> list[str]:
+    """Clauses on limits that the tuned gains violate in the rollout of the file or in a case, and on unstable cases."""
+    settings, tuned, check = study.settings, study.tuned, study.case_checks.get("tuned")
+    violated = violated_limits(settings.limits, tuned.metrics)
+    if check is None:
+        return [_limit_words(settings, name, tuned.metrics) for name in violated]
+    words, count = [], len(check.cases)
+    for name in [n for n in settings.limits if n in violated or n in check.beyond]:
+        if name not in check.beyond:
+            words.append(_limit_words(settings, name, tuned.metrics))
+            continue
+        metric = metric_of_limit(name)
+        worst = check.worst(metric)
+        value = format_metric(worst.value, metric, settings.loop.channel)
+        at_worst = f"{value} at worst" if math.isfinite(worst.value) else "no finite value at worst"
+        limit = format_metric(settings.limits[name], metric, settings.loop.channel)
+        words.append(
+            f"the limit on {name} is not met: it is {limit}, and the best gains exceed it in "
+            f"{len(check.beyond[name])} of {count} cases, with {at_worst} ({check.cases[worst.case].name})"
+        )
+    if check.unstable and not tuned.unstable:
+        names = ", ".join(check.cases[k].name for k in check.unstable)
+        words.append(f"the best gains are unstable in {len(check.unstable)} of {count} cases: {names}")
+    return words
 
 
 def _instability_words(instability: Instability) -> str:

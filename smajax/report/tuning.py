@@ -5,12 +5,24 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from smajax.channels import CHANNELS
 from smajax.report import pages
 from smajax.report.figures import Picture
-from smajax.report.prediction import Series, usual_unit
+from smajax.report.prediction import Series
 from smajax.report.summary import table
 from smajax.report.time_figures import response_picture
+from smajax.report.tuning_checks import (
+    check_words,
+    further_jumps,
+    jump_head,
+    jump_rows,
+    low_margin_rows,
+    padded,
+    unsettled_words,
+    usual_margin_words,
+    worse_words,
+    worst_cell,
+)
+from smajax.report.tuning_metrics import LABELS, format_metric
 from smajax.units import from_si
 
 # A gain is at a bound if it is nearer than this share of its logarithmic range.
@@ -18,47 +30,8 @@ _AT_BOUND = 1e-3
 # Gain margin (a factor) and phase margin (degrees) below which the summary warns; chosen by trial.
 _MIN_GAIN_MARGIN = 1.5
 _MIN_PHASE_MARGIN = 20.0
-_LABELS = {
-    "rmse": "RMSE",
-    "max_error": "largest error",
-    "itae": "ITAE",
-    "rise": "rise 10 to 90 %",
-    "settling": "settling",
-    "overshoot": "overshoot",
-    "energy": "energy",
-    "mean_command": "mean command",
-    "peak_temperature": "highest temperature",
-    "peak_stress": "largest stress",
-    "peak_current": "largest current",
-}
 _MARGIN_LABELS = {"gain": "gain margin", "phase": "phase margin [deg]", "sensitivity": "largest sensitivity"}
-_UNITS = {"rise": "s", "settling": "s", "energy": "J", "peak_temperature": "degC", "peak_current": "A"}
 _EXPORTS = ("controller.h", "controller.json", "plant.fmu", "controller.fmu")
-
-
-def format_metric(value: float | None, name: str, channel: str) -> str:
-    """Format a metric with its usual unit.
-
-    Args:
-        value: The metric in SI units or degC; ``None`` if there is none.
-        name: Name of the metric, such as ``rmse``.
-        channel: The controlled channel.
-
-    Returns:
-        The text; ``-`` for ``None`` and for a value that is not finite, such as an infinite settling time.
-    """
-    if value is None or not math.isfinite(value):
-        return "-"
-    if name in ("rmse", "max_error", "itae", channel):
-        unit = usual_unit(channel)
-        number = from_si(value, unit, CHANNELS[channel].unit) if unit != "degC" else value
-        unit = "K" if unit == "degC" and name != channel else unit  # a difference
-        return f"{number:.4g} {unit}" + (" s\N{SUPERSCRIPT TWO}" if name == "itae" else "")
-    if name == "overshoot":
-        return f"{100 * value:.2f} %"
-    if name == "peak_stress":
-        return f"{value / 1e6:.4g} MPa"
-    return f"{value:.4g} {_UNITS.get(name, '')}".strip()
 
 
 def tuning_summary(doc: Mapping[str, Any]) -> str:
@@ -66,7 +39,7 @@ def tuning_summary(doc: Mapping[str, Any]) -> str:
     channel, before, after = doc["channel"], doc["metrics"]["start"], doc["metrics"]["tuned"]
     key = "settling" if doc["objective"]["settle"] else "rmse"
     start, tuned = (format_metric(metrics[key], key, channel) for metrics in (before, after))
-    words = f"{_LABELS[key]} of {channel}: {start} with the start gains, {tuned} with the tuned ones, "
+    words = f"{LABELS[key]} of {channel}: {start} with the start gains, {tuned} with the tuned ones, "
     words += f"found in {doc['rollouts']:,} rollouts."
     words += _feedforward_words(doc) + _pulse_words(doc)
     if "asked" in doc["objective"]:
@@ -74,7 +47,9 @@ def tuning_summary(doc: Mapping[str, Any]) -> str:
         words += f" With the weights of the file the loop is not stable, so the effort weight was raised to {weight:g}."
     if doc["problems"]:
         words += " But " + "; ".join(doc["problems"]) + "."
-    words += _margin_warning(doc) + _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
+    words += check_words(doc) + unsettled_words(doc) + worse_words(doc)
+    words += _margin_warning(doc) or usual_margin_words(doc)
+    words += _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
     return words + "".join(f" {note}." for note in doc.get("recording_notes") or ())
 
 
@@ -187,15 +162,17 @@ def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return table rows of metrics and margins: name, start, tuned, and the range or worst value of the draws."""
+    """Return table rows of metrics and margins: name, start, tuned, range of the draws, and the worst case."""
     rows, channel = [], doc["channel"]
-    for name, label in _LABELS.items():
+    for name, label in LABELS.items():
         if name not in doc["metrics"]["tuned"]:
             continue
         row = [label, *(format_metric(doc["metrics"][when][name], name, channel) for when in ("start", "tuned"))]
         if doc["robust"]:
             low, _, high = doc["robust"]["tuned"]["spread"][name]
             row.append(f"{format_metric(low, name, channel)} .. {format_metric(high, name, channel)}")
+        if doc.get("case_check"):
+            row.append(worst_cell(doc, name))
         rows.append(tuple(row))
     for name, label in _MARGIN_LABELS.items():
         cells = [doc["margins"][when][name] for when in ("start", "tuned")]
@@ -204,12 +181,13 @@ def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
             worst = doc["robust"]["tuned"]["worst_margins"][name]
             row.append("-" if worst is None else f"{worst:.3g} at worst")
         rows.append(tuple(row))
-    return rows
+    return padded([*rows, *low_margin_rows(doc, _MARGIN_LABELS)], len(stage_head(doc)))
 
 
 def stage_head(doc: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the head of the table of metrics."""
-    return ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
+    head = ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
+    return (*head, f"worst of {doc['case_check']['cases']}") if doc.get("case_check") else head
 
 
 def left_out_lines(doc: Mapping[str, Any]) -> list[str]:
@@ -228,7 +206,10 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
         folder: The result folder, which the last line names; empty for none.
     """
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
-    lines += [*table([stage_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
+    lines += [*table([stage_head(doc), *metric_rows(doc)], right=(1, 2, 3, 4)), ""]
+    if jumps := jump_rows(doc):
+        lines += [*table([jump_head(doc), *jumps], right=(2, 3, 4)), further_jumps(doc)]
+    lines += [doc["summary"]]
     files = [name for name in _EXPORTS if name not in doc.get("left_out", {})]
     lines += left_out_lines(doc)
     place = [f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"] if folder else []
@@ -250,10 +231,14 @@ def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[s
     pictures: list[Picture] = []
     sections = [pages.verdict_section([doc["summary"]], bad=bool(doc["problems"])), "<h2>Gains</h2>"]
     sections.append(pages.table(("gain", "start", "tuned", "unit"), gain_rows(doc), numbers=(1, 2)))
-    sections += ["<h2>Metrics and margins</h2>", pages.table(stage_head(doc), metric_rows(doc), numbers=(1, 2, 3))]
+    sections += ["<h2>Metrics and margins</h2>", pages.table(stage_head(doc), metric_rows(doc), numbers=(1, 2, 3, 4))]
     sections.append(
-        "<p>Margins are those of the loop linearised along the rollout; for a nonlinear plant, medians over it.</p>"
+        "<p>Margins are those of the loop linearised along the rollout without noise; for a nonlinear plant, medians "
+        "over it, and the values that a twentieth of its operating points exceeds or falls short of.</p>"
     )
+    if jumps := jump_rows(doc):
+        sections += ["<h2>Jumps of the reference</h2>", pages.table(jump_head(doc), jumps, numbers=(2, 3, 4))]
+        sections.append(f"<p>{further_jumps(doc)}</p>" if further_jumps(doc) else "")
     sections.append(pages.add_picture(response_picture(series, doc["channel"]), pictures))
     sections += [f"<p>{escape(line)}.</p>" for line in left_out_lines(doc)]
     sections += pages.provenance_sections(run, rig)

@@ -6,13 +6,20 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from smajax.channels import numbered
 from smajax.control.analysis.instability import Instability, instability_reason
-from smajax.control.analysis.margins import Margins, margins_of_draws, stability_margins, worst_margins
+from smajax.control.analysis.margins import Margins, margin_spread, margins_of_draws, worst_margins
 from smajax.control.analysis.members import simulate_members
 from smajax.control.analysis.reachable_range import ReachableRange
-from smajax.control.analysis.step_response import SETTLING_BAND, find_jumps, step_responses, tracking_errors
+from smajax.control.analysis.step_response import (
+    SETTLING_BAND,
+    StepResponse,
+    find_jumps,
+    step_responses,
+    tracking_errors,
+)
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
 from smajax.control.loop.rollout import Rollout, Scenario
@@ -70,6 +77,7 @@ class GainEvaluation:
         metrics: Metrics of the rollout in SI units and degC, by their names in tune.json.
         margins: Stability margins along the rollout without noise.
         unstable: Why the gains count as unstable by their rollout without noise; ``None`` if they do not.
+        low_margins: The 5 % quantile of the margins over the operating points; ``None`` if it was not computed.
     """
 
     loop: ClosedLoop
@@ -78,6 +86,7 @@ class GainEvaluation:
     metrics: dict[str, float]
     margins: Margins
     unstable: Instability | None
+    low_margins: Margins | None = None
 
 
 class DrawChecks(NamedTuple):
@@ -109,25 +118,53 @@ def evaluate_gains(task: ControlTask, gains: Mapping[str, float]) -> GainEvaluat
     channels = {name: np.asarray(values)[0] for name, values in result.channels.items()}
     command, loop = np.asarray(result.command)[0], with_gains(task.loop, gains)
     reason = _instability_of(task, quiet_result, 0)
-    margins = stability_margins(task.system, loop, quiet)
-    return GainEvaluation(loop, channels, command, _rollout_metrics(task, channels, command), margins, reason)
+    median, low = margin_spread(task.system, loop, quiet)
+    return GainEvaluation(loop, channels, command, rollout_metrics(task, channels, command), median, reason, low)
 
 
 def _instability_of(task: ControlTask, quiet: Rollout, member: int) -> Instability | None:
     """Why a member of a rollout without noise counts as unstable; ``None`` if it does not."""
+    value = np.asarray(quiet.channels[task.loop.channel][member])
+    return rollout_instability(task, np.asarray(quiet.command[member]), value)
+
+
+def rollout_instability(
+    task: ControlTask, command: Float[np.ndarray, "samples wires"], value: Float[np.ndarray, " samples"]
+) -> Instability | None:
+    """Return why a rollout without noise counts as unstable; ``None`` if it does not.
+
+    Args:
+        task: The control task.
+        command: Commands, shape ``(n, wires)``.
+        value: Controlled channel, shape ``(n,)``, internal unit.
+    """
     lower, upper = task.loop.controller.limits
-    command, value = np.asarray(quiet.command[member]), np.asarray(quiet.channels[task.loop.channel][member])
     return instability_reason(command, np.asarray(task.scenario.reference), value, float(upper) - float(lower))
 
 
-def _rollout_metrics(task: ControlTask, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
-    """Metrics of a rollout in SI units and degC, by the names that tune.json has."""
-    period, value = task.system.period, channels[task.loop.channel]
-    reference = np.asarray(task.scenario.reference)
-    metrics = tracking_errors(value, reference, period)
+def jump_responses(task: ControlTask, value: Float[np.ndarray, " samples"]) -> list[StepResponse]:
+    """Return the response to each jump of the reference.
+
+    Args:
+        task: The control task.
+        value: Controlled channel, shape ``(n,)``, internal unit.
+    """
+    period, reference = task.system.period, np.asarray(task.scenario.reference)
     jumps = find_jumps(reference, float(task.scenario.initial_reference), period)
-    responses = step_responses(value, reference, jumps, period, task.band)
-    if responses:
+    return step_responses(value, reference, jumps, period, task.band)
+
+
+def rollout_metrics(task: ControlTask, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
+    """Return the metrics of a rollout in SI units and degC, by the names that tune.json has.
+
+    Args:
+        task: The control task.
+        channels: Channels by name, internal units, shape ``(n,)`` each.
+        command: Commands, shape ``(n, wires)``.
+    """
+    period, value = task.system.period, channels[task.loop.channel]
+    metrics = tracking_errors(value, np.asarray(task.scenario.reference), period)
+    if responses := jump_responses(task, value):
         metrics |= {name: max(getattr(r, name) for r in responses) for name in ("rise", "settling", "overshoot")}
     metrics["energy"] = float(np.sum([np.sum(channels[n]) for n in wire_channels(task, "power")]) * period)
     metrics["mean_command"] = float(np.mean(np.sum(command, axis=1)))
@@ -187,7 +224,7 @@ def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[st
         channels = {n: np.asarray(v) for n, v in result.channels.items()}
         for k in range(min(size, count - first)):
             draw_channels = {n: v[k] for n, v in channels.items()}
-            metrics.append(_rollout_metrics(task, draw_channels, np.asarray(result.command[k])))
+            metrics.append(rollout_metrics(task, draw_channels, np.asarray(result.command[k])))
             is_unstable = bool(_instability_of(task, quiet_result, k))
             is_beyond = bool(violated_limits(task.limits, metrics[-1]))
             is_linear_unstable = not is_unstable and margins[first + k].unstable
@@ -219,6 +256,11 @@ def _quantiles(values: np.ndarray) -> np.ndarray:
     return np.quantile(numbers, [0.05, 0.5, 0.95], method="inverted_cdf") if len(numbers) else np.full(3, np.nan)
 
 
+def metric_of_limit(name: str) -> str:
+    """Return the name of the metric that a limit bounds: ``overshoot``, ``settling``, ``peak_temperature``, ..."""
+    return name if name in ("overshoot", "settling") else f"peak_{name}"
+
+
 def violated_limits(limits: Mapping[str, float], metrics: Mapping[str, float]) -> list[str]:
     """Return the names of the limits that a rollout's metrics violate; NaN violates a limit.
 
@@ -229,7 +271,7 @@ def violated_limits(limits: Mapping[str, float], metrics: Mapping[str, float]) -
     """
     violated = []
     for name, limit in limits.items():
-        metric = name if name in ("overshoot", "settling") else f"peak_{name}"
+        metric = metric_of_limit(name)
         scales = {"temperature": TEMPERATURE_SCALE, "overshoot": SETTLING_BAND, "settling": max(limit, 1e-9)}
         tolerance = _LIMIT_TOLERANCE * scales.get(name, RELATIVE_SCALE * abs(limit))
         if metric in metrics and not metrics[metric] <= limit + tolerance:

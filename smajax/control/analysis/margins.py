@@ -59,8 +59,31 @@ class Margins(NamedTuple):
         return self.gain < 1.0 or self.phase < 0.0
 
 
+class MarginSpread(NamedTuple):
+    """Margins over the operating points of a rollout.
+
+    Attributes:
+        median: Medians.
+        low: The 5 % quantile of gain and phase margin, and the 95 % quantile of the largest sensitivity.
+    """
+
+    median: Margins
+    low: Margins
+
+
 # Margins of a loop whose command never changes.
 _OPEN_LOOP = Margins(math.inf, math.inf, 0.0)
+# Usual margins of a loop: astrom1995 gives the ranges 2 to 5 for the gain margin, 30 to 60 degrees for the phase margin
+# and 1.2 to 2 for the largest sensitivity.
+USUAL_MARGINS = Margins(2.0, 45.0, 1.8)
+# Quantile of the operating points that counts as low.
+_LOW = 0.05
+
+
+def has_usual_margins(margins: Margins) -> bool:
+    """Return whether margins are at least as good as ``USUAL_MARGINS``."""
+    usual = USUAL_MARGINS
+    return margins.gain >= usual.gain and margins.phase >= usual.phase and margins.sensitivity <= usual.sensitivity
 
 
 @jit_with_kernels
@@ -101,7 +124,21 @@ def _loop_gain(
 def stability_margins(
     system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, *, samples: int = _SAMPLES
 ) -> Margins:
-    """Compute the stability margins of a loop.
+    """Compute the stability margins of a loop; for a nonlinear plant, medians.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: Scenario of the rollout along which a nonlinear plant is linearised.
+        samples: Number of samples of the rollout, evenly spread over those at which the command changes.
+    """
+    return margin_spread(system, loop, scenario, samples=samples).median
+
+
+def margin_spread(
+    system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, *, samples: int = _SAMPLES
+) -> MarginSpread:
+    """Compute medians and low quantiles of the stability margins over the operating points of a rollout.
 
     Args:
         system: The sampled plant.
@@ -122,14 +159,14 @@ def stability_margins(
         carries, command = _carries(system, loop, scenario)
         moving = np.flatnonzero(np.any(np.abs(np.diff(np.asarray(command), axis=0)) > 0.0, axis=1)) + 1
         if not len(moving):
-            return _OPEN_LOOP
+            return MarginSpread(_OPEN_LOOP, _OPEN_LOOP)
         rows = moving[np.linspace(0, len(moving) - 1, samples).astype(int)]
         gains = np.asarray(
             _loop_gains(system, loop, carries[rows], scenario.reference[rows], scenario.draws[rows], z, first)
         )
         # A first sample of the response that is not positive: the channel moves in the opposite direction.
         gains = gains[(np.real(gains[:, -1]) > 0.0) & np.all(np.isfinite(gains), axis=1)]
-    return _median_margins(gains[:, :-1], frequencies)
+    return _spread_of_margins(gains[:, :-1], frequencies)
 
 
 def margins_of_draws(
@@ -180,10 +217,14 @@ def _loop_gains(
     )
 
 
-def _median_margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
-    """Medians of the margins over the rows of ``gains``, which are L at ``frequencies``."""
+def _spread_of_margins(gains: np.ndarray, frequencies: np.ndarray) -> MarginSpread:
+    """Medians and low quantiles of the margins over the rows of ``gains``, which are L at ``frequencies``."""
     rows = [_margins_of_response(gain, frequencies) for gain in gains]
-    return Margins(*(float(np.median(column)) for column in zip(*rows, strict=True))) if rows else _OPEN_LOOP
+    if not rows:
+        return MarginSpread(_OPEN_LOOP, _OPEN_LOOP)
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    low = (np.quantile(v, q, method="inverted_cdf") for v, q in zip(columns, (_LOW, _LOW, 1.0 - _LOW), strict=True))
+    return MarginSpread(Margins(*(float(np.median(v)) for v in columns)), Margins(*map(float, low)))
 
 
 def _margins_of_response(gain: np.ndarray, frequencies: np.ndarray) -> Margins:

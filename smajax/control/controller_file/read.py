@@ -37,6 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.channels import CHANNELS, numbered
+from smajax.control.analysis.cases import NOISE_CASES
 from smajax.control.analysis.step_response import find_jumps
 from smajax.control.controller_file.renamed_keys import with_current_controller_keys
 from smajax.control.controller_file.scenario import read_scenario
@@ -44,6 +45,7 @@ from smajax.control.controller_file.schema import OPTIONS, SECTIONS, ControllerS
 from smajax.control.controller_file.search_sections import (
     Robust,
     read_bounds,
+    read_check,
     read_feedforward,
     read_limits,
     read_objective,
@@ -80,6 +82,9 @@ class ControllerFile(TuningTask):
         feedforward: Section [feedforward]; ``None`` if there is none.
         seed: Seed of all random numbers.
         robust: Section [robust]; ``None`` if there is none.
+        check: Number of draws of the noise on which the gains are judged; 1 for the rollout of the file only.
+        prefers_margins: Whether gains with usual margins are preferred: with an objective that is a word other than
+            settling.
         place: What messages call it, such as its path.
         notes: Sentences on recordings that the file names, such as their channels that are not used.
     """
@@ -89,6 +94,8 @@ class ControllerFile(TuningTask):
     feedforward: Feedforward | None = None
     seed: int = 0
     robust: Robust | None = None
+    check: int = NOISE_CASES
+    prefers_margins: bool = False
     place: str = "controller"
     notes: tuple[str, ...] = ()
 
@@ -153,8 +160,8 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         raise InputError(
             "reference: it stays at the channel's value at rest, so there is nothing to follow: give it another level"
         )
-    weights, settle = read_objective(tune.objective)
     limits = read_limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", system.wires)))
+    weights, settle = read_objective(tune.objective, "overshoot" in limits)
     _check_jumps(scenario, period, settle, limits)
     feedforward = None
     if "feedforward" in data:
@@ -174,6 +181,8 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         feedforward=feedforward,
         band=quantity_at(tune.band, "1", "tune.band", least=_MIN_BAND),
         starts=tune.starts,
+        prefers_margins=isinstance(tune.objective, str) and not settle,
+        check=read_check(tune),
         seed=tune.seed,
         robust=read_robust(data["robust"], path, rig) if "robust" in data else None,
         place=str(path),

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
 
 from smajax.arguments import MAX_SEED
+from smajax.control.analysis.cases import NOISE_CASES
 from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.errors import InputError
 from smajax.files.toml import STRICT, validate
@@ -86,6 +87,7 @@ class TuneSection(BaseModel):
     starts: int = Field(4, ge=1, le=1000, examples=["4"])
     seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])
     band: Any = Field("2 %", examples=['"2 %"'])
+    check: int = Field(NOISE_CASES, ge=1, le=100_000, examples=["64"])
 
 
 class LimitsSection(BaseModel):

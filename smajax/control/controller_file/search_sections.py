@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from smajax import parameters
+from smajax.control.analysis.cases import MIN_NOISE_CASES
 from smajax.control.controller_file.recording_notes import recording_notes
 from smajax.control.controller_file.renamed_keys import with_current_parameters
 from smajax.control.controller_file.schema import (
@@ -26,10 +27,15 @@ from smajax.files.validators import quantity
 from smajax.fitting.io_models.problem import Series
 from smajax.recordings.read import read_recording
 
-OBJECTIVES = (*TERMS, "settling")
+# Objectives that a word names; overshoot alone is none, since a loop that does not move has none.
+OBJECTIVES = (*(term for term in TERMS if term != "overshoot"), "settling")
 # Weight of the effort in addition to a named objective: without it, the command follows the noise of a real sensor.
 # Chosen by trial.
 _DEFAULT_EFFORT_WEIGHT = {"effort": 0.01}
+# Weight of the overshoot in addition to tracking or ITAE without a limit on overshoot: without it, the error falls at
+# the price of the overshoot. Chosen by trial; tests/unit/control/test_case_check.py holds it.
+_DEFAULT_OVERSHOOT_WEIGHT = {"overshoot": 1.0}
+_TRACKING_OBJECTIVES = ("tracking", "itae")
 # Default bounds of a gain, as factors of its start value. Chosen by trial.
 _MIN_FACTOR = 0.01
 _MAX_FACTOR = 100.0
@@ -139,11 +145,12 @@ def _bounds_of(name: str, tune: TuneSection, start: float, unit: str) -> tuple[f
     return low, high
 
 
-def read_objective(objective: Any) -> tuple[dict[str, float], bool]:
+def read_objective(objective: Any, limits_overshoot: bool = False) -> tuple[dict[str, float], bool]:
     """Return the weights of the objective's terms, and whether the settling time is to be minimised.
 
     Args:
-        objective: The key ``tune.objective``: a word, or a table of weights.
+        objective: The key ``tune.objective``: a word, or a table of weights, which are used as they are.
+        limits_overshoot: Whether the overshoot is limited, so that a word does not include its term.
 
     Raises:
         InputError: for an unknown term, or a weight that is negative or not finite, or if all are 0.
@@ -153,7 +160,9 @@ def read_objective(objective: Any) -> tuple[dict[str, float], bool]:
             names = advice(objective, OBJECTIVES, "the objectives are")
             raise InputError(f"tune.objective: '{objective}' is not known{names}")
         settling = objective == "settling"
-        return ({"itae": 1.0} if settling else {objective: 1.0}) | _DEFAULT_EFFORT_WEIGHT, settling
+        weights = ({"itae": 1.0} if settling else {objective: 1.0}) | _DEFAULT_EFFORT_WEIGHT
+        is_bounded = objective in _TRACKING_OBJECTIVES and not limits_overshoot
+        return weights | (_DEFAULT_OVERSHOOT_WEIGHT if is_bounded else {}), settling
     if not isinstance(objective, dict) or not objective:
         raise InputError(
             'tune.objective is a word or a table of weights: write it like "tracking" or { tracking = 1, energy = 0.1 }'
@@ -166,6 +175,23 @@ def read_objective(objective: Any) -> tuple[dict[str, float], bool]:
     if not any(objective.values()):
         raise InputError("tune.objective: no weight is above 0, so nothing would be minimised: give one")
     return {name: float(weight) for name, weight in objective.items()}, False
+
+
+def read_check(tune: TuneSection) -> int:
+    """Return the number of draws of the noise on which the gains are judged; 1 stands for the file's own rollout only.
+
+    Args:
+        tune: The section [tune].
+
+    Raises:
+        InputError: for a number above 1 that is too small for a statement on 95 % of all draws.
+    """
+    if 1 < tune.check < MIN_NOISE_CASES:
+        raise InputError(
+            f"tune.check = {tune.check} is too small to judge 95 % of all draws of the noise: "
+            f"give {MIN_NOISE_CASES} or more, or 1 for the rollout of the file only"
+        )
+    return tune.check
 
 
 def read_limits(data: Any, rest_temperature: float) -> dict[str, float]:

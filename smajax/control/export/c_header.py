@@ -61,13 +61,17 @@ class _State(NamedTuple):
     reference: ReferenceHold
 
 
-def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], version: str) -> str:
+def c_header(
+    owner: AbstractController | ClosedLoop, units: tuple[str, str], version: str, start: float | None = None
+) -> str:
     """Return the C header of a controller, or of a loop's controller, allocation, limiter and observer.
 
     Args:
         owner: The controller, or the loop.
         units: Units of command and channel.
         version: Version of smajax.
+        start: Reference before the first sample, in the channel's unit, for the example of the header's comment;
+            without it, the example begins with the first reference.
 
     Raises:
         InputError: for what is no controller; for an operation of the controller that cannot be written in C, with its
@@ -81,7 +85,7 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
     if loop.temperature_limiter is not None:
         limiter_document(loop.temperature_limiter)
     program, parts = _program(loop)
-    return _header(loop, units, version, program, parts)
+    return _header(loop, units, version, program, parts, start)
 
 
 def _program(loop: ClosedLoop) -> tuple[CProgram, tuple[list[str], list[str]]]:
@@ -129,7 +133,12 @@ def _definitions_and_functions(program: CProgram, loop: ClosedLoop) -> tuple[lis
 
 
 def _header(
-    loop: ClosedLoop, units: tuple[str, str], version: str, program: CProgram, parts: tuple[list[str], list[str]]
+    loop: ClosedLoop,
+    units: tuple[str, str],
+    version: str,
+    program: CProgram,
+    parts: tuple[list[str], list[str]],
+    start: float | None,
 ) -> str:
     """The text of the header; ``parts`` are the definitions of the constants, and the functions."""
     defines, functions = parts
@@ -142,6 +151,8 @@ def _header(
     ]
     blind = f"#define SMAJAX_BLIND ((smajax_real){DROPOUT_TIMEOUT!r})"
     limits.append(f"{blind} /* s without a measurement after which the command is 0 */")
+    if start is not None:
+        limits.append(c_templates.START.format(start=start, unit=units[1]))
     texts = "\n".join([body, *defines])
     helpers = {name: text for name, text in c_templates.HELPERS.items() if f"{name}(" in texts}
     math = [c_templates.MATH.format(name=name.upper(), function=name) for name in sorted(program.math)]
@@ -151,6 +162,7 @@ def _header(
         version=version,
         command_unit=units[0],
         channel_unit=units[1],
+        start="reference" if start is None else "SMAJAX_START",
         use=_instructions(loop),
         include="".join(["#include <math.h>\n"] * bool(used) + used),
         constants="\n".join([*limits, *defines, *program.definitions]),

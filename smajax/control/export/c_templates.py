@@ -4,7 +4,7 @@ HEADER = """/* {kind} controller tuned by smajax {version}.
  * Include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
  *
  *     smajax_state s;
- *     smajax_reset(&s, reference, value);
+ *     smajax_reset(&s, {start}, value);
 {use} *
  * Units: reference and value in {channel_unit}, command in {command_unit}.
  * Define SMAJAX_REAL as float where doubles are slow.
@@ -31,6 +31,11 @@ MATH = """#ifndef SMAJAX_{name} /* with SMAJAX_REAL as float, define it as {func
 #define SMAJAX_{name} {function}
 #endif
 """
+# The start of the rollout that the gains were tuned for: with another reference, a derivative of the error begins with
+# a kick, or leaves one out.
+START = (
+    "#define SMAJAX_START ((smajax_real){start!r}) /* {unit}: reference before the first sample, as in the tuning */"
+)
 # Functions that replace operations of JAX, by name; NaN stays NaN.
 HELPERS = {
     "smajax_is_number": """static inline int smajax_is_number(smajax_real x) {

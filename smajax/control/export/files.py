@@ -39,10 +39,11 @@ def export_files(study: ControllerTuning) -> ExportedFiles:
     settings, loop = study.settings, study.tuned.loop
     plant = settings.system.plant
     units = (CHANNELS[plant.drive.control].unit, CHANNELS[loop.channel].unit)
+    start = float(settings.scenario.initial_reference)
     exports = ExportedFiles({}, {})
     for name, content in (
         ("controller.json", lambda: to_json(controller_document(loop, settings.units)).encode()),
-        ("controller.h", lambda: c_header(loop, units, __version__).encode()),
+        ("controller.h", lambda: c_header(loop, units, __version__, start).encode()),
         ("plant.fmu", lambda: pack_fmu(plant_model(plant, study.rig.name))),
         ("controller.fmu", lambda: pack_fmu(controller_model(loop, units, settings.units, settings.name))),
     ):

@@ -4,10 +4,12 @@ Terms are sums of squares over the n samples of a rollout with error e, time t a
 
     tracking  e^2 / n                          energy  T sum of the wires' power
     itae      T t |e|                          effort  squared moves of the commands from sample to sample
+    overshoot max(0, e / jump - SOFT_OVERSHOOT)^2 / band^2 / n
 
 Each term is divided by its value at the start gains; effort, if the command is bounded, by that of changes of a
-hundredth of its range at every sample. A small weight of effort is needed if the simulated sensor is better than the
-real one: otherwise the best gains make the command oscillate with the noise.
+hundredth of its range at every sample; overshoot by 1, its value if the error is always a settling band larger than
+allowed. A small weight of effort is needed if the simulated sensor is better than the real one: otherwise the best
+gains make the command oscillate with the noise.
 
 A limit c <= 0 at every sample is kept by an augmented Lagrangian: its residual is sqrt(mu) max(0, c + lambda / mu),
 where mu is the penalty, and the multiplier lambda grows after each search by mu c.
@@ -29,8 +31,11 @@ from smajax.control.analysis.step_response import SETTLING_BAND
 from smajax.control.loop.rollout import Rollout
 from smajax.numerics.nonsmooth import largest, maximum
 
-TERMS = ("tracking", "itae", "energy", "effort")
+TERMS = ("tracking", "itae", "energy", "effort", "overshoot")
 LIMITS = ("overshoot", "settling", "temperature", "stress", "current")
+# Overshoot as a share of a jump up to which the overshoot term is 0: that of a damping ratio of 0.745, about the usual
+# 0.7 of a step response.
+SOFT_OVERSHOOT = 0.03
 # Share of the reference's span within which |e| is rounded off in the ITAE term, so that its derivative exists: far
 # below any settling band.
 _CORNER = 1e-4
@@ -40,7 +45,7 @@ class Objective(eqx.Module):
     """Weights and limits of a tuning.
 
     Attributes:
-        weights: Weights of the terms (``TERMS``) relative to their values at the start, shape ``(4,)``.
+        weights: Weights of the terms (``TERMS``) relative to their values at the start, shape ``(5,)``.
         limits: Limits (``LIMITS``), shape ``(5,)``; infinite where there is none. Overshoot is a share of the jump,
             settling time in s, temperature in degC, stress in Pa, current in A.
         band: Settling band as a share of the jump.
@@ -107,7 +112,7 @@ class ObjectiveTerms(NamedTuple):
     """Terms and limits of a rollout.
 
     Attributes:
-        terms: Residuals whose squares sum to the terms (``TERMS``), shape ``(4, n)``.
+        terms: Residuals whose squares sum to the terms (``TERMS``), shape ``(5, n)``.
         violations: c of each limit (``LIMITS``), dimensionless, shape ``(5, n)``; a limit is kept where c <= 0.
     """
 
@@ -124,11 +129,21 @@ def evaluate_objective(rollout: Rollout, reference: ReferenceSignal, objective: 
         objective: Limits and settling band.
     """
     error = rollout.channels[reference.channel] - reference.values
-    return ObjectiveTerms(_terms(rollout, reference, error), _violations(rollout, reference, objective, error))
+    share = _share_of_jump(reference, error)
+    terms = _terms(rollout, reference, objective, error, share)
+    return ObjectiveTerms(terms, _violations(rollout, reference, objective, share))
 
 
-def _terms(rollout: Rollout, reference: ReferenceSignal, error: jax.Array) -> jax.Array:
-    """Residuals of the terms, shape ``(4, n)``."""
+def _share_of_jump(reference: ReferenceSignal, error: jax.Array) -> jax.Array:
+    """Error as a share of the last jump, shape ``(n,)``; 0 before the first jump."""
+    after_jump = reference.jump_size != 0.0
+    return jnp.where(after_jump, error / jnp.where(after_jump, reference.jump_size, 1.0), 0.0)
+
+
+def _terms(
+    rollout: Rollout, reference: ReferenceSignal, objective: Objective, error: jax.Array, share: jax.Array
+) -> jax.Array:
+    """Residuals of the terms, shape ``(5, n)``."""
     count, period = error.shape[0], reference.period
     time = period * jnp.arange(count)
     corner = _CORNER * reference.span
@@ -138,14 +153,14 @@ def _terms(rollout: Rollout, reference: ReferenceSignal, error: jax.Array) -> ja
     energy = jnp.zeros(count) if power is None else _safe_sqrt(period * jnp.sum(power, axis=0))
     moves = jnp.diff(rollout.command, axis=0, prepend=rollout.command[:1])
     effort = _safe_sqrt(jnp.sum(moves**2, axis=1))
-    return jnp.stack([error / jnp.sqrt(count), itae, energy, effort])
+    overshoot = maximum(share - SOFT_OVERSHOOT, 0.0) / (objective.band * jnp.sqrt(count))
+    return jnp.stack([error / jnp.sqrt(count), itae, energy, effort, overshoot])
 
 
-def _violations(rollout: Rollout, reference: ReferenceSignal, objective: Objective, error: jax.Array) -> jax.Array:
+def _violations(rollout: Rollout, reference: ReferenceSignal, objective: Objective, share: jax.Array) -> jax.Array:
     """Violations of the limits, shape ``(5, n)``; -1 where a limit does not apply."""
-    count = error.shape[0]
+    count = share.shape[0]
     after_jump = reference.jump_size != 0.0
-    share = jnp.where(after_jump, error / jnp.where(after_jump, reference.jump_size, 1.0), 0.0)
     overshoot, settling, temperature, stress, current = objective.limits
     late = after_jump & (reference.since_jump >= settling)
     no_violation = jnp.full(count, -1.0)
@@ -177,13 +192,13 @@ def residual(
 
     Args:
         evaluated: Terms and limits of a rollout.
-        scale: Terms at the start, shape ``(4,)``.
+        scale: Terms at the start, shape ``(5,)``.
         objective: Weights and limits.
         multipliers: Multipliers of the limits at the samples, shape ``(5, n)``.
         penalty: Penalty mu.
 
     Returns:
-        Residuals, shape ``(9 n,)``.
+        Residuals, shape ``(10 n,)``.
     """
     terms = evaluated.terms * jnp.sqrt(objective.weights / scale)[:, None]
     limits = jnp.sqrt(penalty) * maximum(evaluated.violations + multipliers / penalty, 0.0)

@@ -185,7 +185,7 @@ class TuningProblem(eqx.Module):
             objective: Weights and limits.
 
         Returns:
-            Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``.
+            Terms, shape ``(m, 5, n)``, and violations, shape ``(m, 5, n)``.
         """
         rollouts = self._simulate(self.gains((point[None] + self.offsets).T))
         rollouts = dataclasses.replace(rollouts, final_states=None)
@@ -220,11 +220,16 @@ def noise_draws(
     Returns:
         Standard normal numbers, shape ``(count, n)``, or ``(1, n)`` if no sensor has noise.
     """
-    used = loop.temperature_limiter is not None or loop.estimator is not None
-    sensors = loop.instruments.sensors.values() if loop.instruments is not None and used else ()
-    count = count if any(float(sensor.noise) > 0.0 for sensor in (loop.sensor, *sensors)) else 1
+    count = count if has_noise(loop) else 1
     others = np.random.default_rng([seed, _NOISE_STREAM]).standard_normal((count - 1, scenario.draws.shape[0]))
     return jnp.concatenate([scenario.draws[None], jnp.asarray(others)])
+
+
+def has_noise(loop: ClosedLoop) -> bool:
+    """Return whether any sensor of a loop has noise."""
+    used = loop.temperature_limiter is not None or loop.estimator is not None
+    sensors = loop.instruments.sensors.values() if loop.instruments is not None and used else ()
+    return any(float(sensor.noise) > 0.0 for sensor in (loop.sensor, *sensors))
 
 
 @jit_with_kernels
@@ -239,7 +244,7 @@ def evaluate_points(
         objective: Weights and limits.
 
     Returns:
-        Terms (sums of squares over the samples, mean over the members), shape ``(k, 4)``, and the largest violation of
+        Terms (sums of squares over the samples, mean over the members), shape ``(k, 5)``, and the largest violation of
         each limit over samples and members, shape ``(k, 5)``.
     """
 

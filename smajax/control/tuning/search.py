@@ -139,7 +139,7 @@ class GainSearch:
         history: A row (rollouts, cost) for each improvement.
         evaluated: Candidates that all members evaluated.
         reached: Points to which the local searches improved so far, also those of the searches that this one starts.
-        scale: Terms at the start, by which they are divided, shape ``(4,)``.
+        scale: Terms at the start, by which they are divided, shape ``(5,)``.
         has_no_limits: Whether there are no limits and the settling time is not minimised.
         zero_multipliers: Multipliers that are 0, shape ``(m, 5, n)``.
         objective_without_limits: The objective without its limits.
@@ -178,6 +178,7 @@ class GainSearch:
         count = problem.reference.values.shape[0]
         if command_range < _UNBOUNDED_RANGE:
             self.scale[TERMS.index("effort")] = count * (_UNIT_MOVE * command_range) ** 2
+        self.scale[TERMS.index("overshoot")] = 1.0
         self.has_no_limits: bool = not (settle or np.any(np.isfinite(np.asarray(objective.limits))))
         self.zero_multipliers: jax.Array = jnp.zeros((problem.count, len(LIMITS), count))
         no_limits = jnp.full_like(objective.limits, jnp.inf)
@@ -194,7 +195,7 @@ class GainSearch:
             problem: Problem with the members to use; default: all members.
 
         Returns:
-            Terms, not divided by those at the start, shape ``(k, 4)``, and largest violation of each limit, shape
+            Terms, not divided by those at the start, shape ``(k, 5)``, and largest violation of each limit, shape
             ``(k, 5)``; infinite where it is NaN.
         """
         problem = problem or self.problem
@@ -246,7 +247,6 @@ class GainSearch:
             problem, self.objective_without_limits, jnp.asarray(self.scale), multipliers, jnp.asarray(1.0)
         )
         free = np.asarray(self.problem.upper > self.problem.lower)
-
         lowest = [math.inf]
 
         def log_cost_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:

@@ -5,12 +5,16 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from smajax import parameters
+from smajax.control.analysis.case_check import CaseCheck, check_cases
+from smajax.control.analysis.cases import DRAWN_CASES, Case, ambient_members, make_cases
 from smajax.control.analysis.closed_loop_checks import (
     DrawChecks,
     GainEvaluation,
@@ -22,9 +26,11 @@ from smajax.control.analysis.margins import Margins
 from smajax.control.analysis.reachable_range import ReachableRange, clip_reference, falls_when_heated, reachable_range
 from smajax.control.controller_file.read import ControllerFile
 from smajax.control.loop.gains import gain, gains
+from smajax.control.tuning.case_retuning import JudgedGains, judge_gains
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward, identify_feedforward, with_inverse
+from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
-from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProblem, noise_draws
+from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProblem, has_noise, noise_draws
 from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
 from smajax.control.tuning.tune import TuningResult
 from smajax.errors import InputError
@@ -84,6 +90,9 @@ class ControllerTuning:
             carrier.
         timings: Wall time of each part, s.
         interrupted: Whether the tuning was stopped; the gains are then the best ones so far.
+        case_checks: Checks on cases that no search has used, for the ``start`` and the ``tuned`` gains; empty where the
+            gains are judged by the rollout of the file only.
+        retunings: Number of searches for cases that failed.
     """
 
     rig: Rig
@@ -101,6 +110,8 @@ class ControllerTuning:
     rmse_of_mean: float | None = None
     timings: Mapping[str, float] = field(default_factory=dict)
     interrupted: bool = False
+    case_checks: Mapping[str, CaseCheck] = field(default_factory=dict)
+    retunings: int = 0
 
     @property
     def gains(self) -> dict[str, float]:
@@ -138,6 +149,7 @@ def tune_controller(
 
     A feedforward is identified first. A reference that the rig cannot follow is clipped to what it reaches. The gains
     are searched again with more starts, more weight of the effort or the draws that fail, if they are not good enough.
+    They are judged on cases that no search has used, and tuned again for those that fail.
 
     Args:
         rig: The rig.
@@ -166,40 +178,95 @@ def tune_controller(
         problem = _problem(settings, draws, seed)
         result, tuned, weights = search_gains(settings, problem, reachable, seed, progress)
         settings = replace(settings, weights=weights)
-    other_weights = weights is not file_weights
-    progress.finish("checking")
-    with timer.part("check"):
-        checks = _checks(settings, result, draws)
-    if checks and not result.interrupted:
-        with timer.part("tune"):
-            result, checks, is_start = _checked_gains(settings, problem, result, checks, draws, seed, progress)
-        other_weights, tuned = other_weights and not is_start, evaluate_gains(settings, result.gains)
+        if settings.prefers_margins:
+            result, tuned = reduce_loop_gain(settings, problem, result, tuned)
+    chosen = _check_gains(rig, settings, problem, _Chosen(result, tuned, {}, False), draws, seed, timer)
     return ControllerTuning(
         rig=rig,
         settings=settings,
         file_weights=file_weights,
         seed=seed,
         start=start,
-        tuned=tuned,
-        rollouts=result.rollouts,
-        checks=checks,
+        tuned=chosen.evaluation,
+        rollouts=chosen.result.rollouts,
+        checks=chosen.checks,
         reachable=reachable,
         unreachable=unreachable,
-        other_weights=other_weights,
+        other_weights=weights is not file_weights and not chosen.is_start,
         identified=identified,
-        rmse_of_mean=_rmse_of_mean(settings, tuned),
+        rmse_of_mean=_rmse_of_mean(settings, chosen.evaluation),
         timings=timer.timings,
-        interrupted=result.interrupted,
+        interrupted=chosen.result.interrupted,
+        case_checks=chosen.case_checks,
+        retunings=chosen.retunings,
     )
 
 
-def draw_parameters(rig: Rig, settings: ControllerFile, seed: int) -> dict[str, Float[np.ndarray, " draws"]]:
+class _Chosen(NamedTuple):
+    """Gains of a search with their evaluation and checks, as in ``ControllerTuning``."""
+
+    result: TuningResult
+    evaluation: GainEvaluation
+    checks: dict[str, DrawChecks]
+    is_start: bool
+    case_checks: Mapping[str, CaseCheck] = MappingProxyType({})
+    retunings: int = 0
+
+
+def _check_gains(
+    rig: Rig,
+    settings: ControllerFile,
+    problem: TuningProblem,
+    chosen: _Chosen,
+    draws: Mapping[str, np.ndarray],
+    seed: int,
+    timer: _Timer,
+) -> _Chosen:
+    """Check gains on draws of parameters and on cases, and tune them again for those that fail."""
+    progress, result = timer.progress, chosen.result
+    progress.finish("checking")
+    with timer.part("check"):
+        chosen = chosen._replace(checks=_checks(settings, result, draws))
+    if chosen.checks and not result.interrupted:
+        with timer.part("tune"):
+            result, checks, is_start = _checked_gains(settings, problem, result, chosen.checks, draws, seed, progress)
+        chosen = _Chosen(result, evaluate_gains(settings, result.gains), checks, is_start)
+    if settings.check == 1 or result.interrupted:
+        return chosen
+    progress.finish("checking on cases that no search has used")
+    with timer.part("judge"):
+        judged = judge_gains(settings, problem, result, lambda k: _cases(rig, settings, seed, k), progress)
+        chosen = chosen._replace(
+            result=judged.result, case_checks=_case_checks(settings, judged), retunings=judged.rounds
+        )
+        if judged.result.gains != result.gains:
+            checks = _checks(settings, judged.result, draws)
+            tuned = evaluate_gains(settings, judged.result.gains)
+            chosen = chosen._replace(evaluation=tuned, checks=checks, is_start=False)
+    return chosen
+
+
+def _case_checks(settings: ControllerFile, judged: JudgedGains) -> dict[str, CaseCheck]:
+    """The checks of the start gains and of the tuned ones on the same cases."""
+    return {"start": check_cases(settings, _start_gains(settings), judged.check.cases), "tuned": judged.check}
+
+
+def _cases(rig: Rig, settings: ControllerFile, seed: int, repeat: int) -> list[Case]:
+    """The cases of a check, with other random numbers for each ``repeat``."""
+    draws = draw_parameters(rig, settings, seed, repeat)
+    return make_cases(settings, draws, has_noise(settings.loop), seed, repeat, settings.check)
+
+
+def draw_parameters(
+    rig: Rig, settings: ControllerFile, seed: int, repeat: int | None = None
+) -> dict[str, Float[np.ndarray, " draws"]]:
     """Draw the uncertain parameters; the number is the larger of ``robust.draws`` and ``robust.check``.
 
     Args:
         rig: The rig.
         settings: The content of a controller file.
         seed: Seed of the random numbers.
+        repeat: Number of a check on cases, each of which has its own draws; ``None`` for those of the search.
 
     Returns:
         Samples by name, internal units, shape ``(count,)`` each; empty without [robust].
@@ -210,8 +277,8 @@ def draw_parameters(rig: Rig, settings: ControllerFile, seed: int) -> dict[str, 
     robust = settings.robust
     if robust is None:
         return {}
-    count = max(robust.draws, robust.check)
-    rng = np.random.default_rng([seed, _DRAWS_STREAM])
+    count = max(robust.draws, robust.check) if repeat is None else DRAWN_CASES
+    rng = np.random.default_rng([seed, _DRAWS_STREAM, *(() if repeat is None else (1 + repeat,))])
     draws: dict[str, np.ndarray] = {}
     if robust.fit is not None:
         names = list(parameters.all_declarations(rig.plant))
@@ -279,10 +346,14 @@ def _start_gains(settings: ControllerFile) -> dict[str, float]:
 
 
 def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: int) -> TuningProblem:
-    """The tuning problem on the first draws."""
+    """The tuning problem on the first draws; within limits also without noise, and for other ambient temperatures."""
     robust = settings.robust
     members = {n: v[: robust.draws] for n, v in draws.items()} if robust else {}
     noise = noise_draws(settings.loop, settings.scenario, robust.draws if robust else NOISE_DRAWS, seed)
+    if settings.check > 1 and len(noise) > 1:
+        noise = noise.at[-1].set(0.0)
+        if settings.limits:
+            members |= ambient_members(settings, len(noise), draws)
     # Gains that are limited, or tuned for several plants, are evaluated as they are.
     spread = 0.0 if settings.limits or settings.settle or robust else GAIN_SPREAD
     return TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, members, noise, spread)

@@ -54,6 +54,51 @@ class DrawsEntry(Part):
     worst_margins: Margins = Field(description="worst margins of all draws")
 
 
+class WorstEntry(Part):
+    """Largest value of a metric over the cases of a check."""
+
+    value: Number = Field(description="largest value, in SI units and degC; null where it is not finite")
+    case: str = Field(description="name of the case")
+
+
+class CheckEntry(Part):
+    """Check of the tuned gains on cases that no search has used."""
+
+    cases: int = Field(ge=1, description="number of cases")
+    groups: dict[str, int] = Field(
+        description="number of cases by what they vary: noise, quiet (without noise), ambient (temperature), drawn "
+        "(parameters), start (of the loop), rounded (gains)"
+    )
+    failing: int = Field(ge=0, description="number of cases that are unstable or violate a limit")
+    unstable: int = Field(ge=0, description="number of cases without noise that are unstable")
+    beyond: dict[str, int] = Field(description="number of cases that violate a limit, by its name; without zeros")
+    worst: dict[str, WorstEntry] = Field(description="largest value of each metric with the tuned gains")
+    start: dict[str, WorstEntry] = Field(description="largest value of each metric with the start gains")
+    retunings: int = Field(ge=0, description="number of searches for cases that violated a limit")
+
+
+class ResponseEntry(Part):
+    """Response to a jump of the reference."""
+
+    rise: Number = Field(description="rise time from 10 to 90 %, s; null where 90 % is not reached")
+    settling: Number = Field(description="settling time, s; null where the last sample is outside of the band")
+    overshoot: Number = Field(description="overshoot as a share of the jump")
+
+
+class JumpEntry(Part):
+    """A jump of the reference, and the responses to it."""
+
+    number: int = Field(ge=1, description="number of the jump, from 1")
+    time: float = Field(description="time of the jump, s")
+    before: float = Field(description="reference before it, in the unit of the channel")
+    after: float = Field(description="reference after it, in the unit of the channel")
+    start: ResponseEntry = Field(description="response with the start gains")
+    tuned: ResponseEntry = Field(description="response with the tuned gains")
+    worst: ResponseEntry | None = Field(
+        None, description="largest values over the cases of the check; absent without one"
+    )
+
+
 class RobustEntry(Part):
     """Checks on draws; empty without draws."""
 
@@ -119,6 +164,15 @@ class TuneDocument(Document):
     believes: list[str] | None = Field(None, description="channels that the filter measures; absent without a filter")
     recording_notes: list[str] | None = Field(
         None, description="sentences on the recordings of the controller file; absent where there are none"
+    )
+    case_check: CheckEntry | None = Field(
+        None, description="check on cases that no search has used; absent where only the rollout of the file counts"
+    )
+    jumps: list[JumpEntry] | None = Field(None, description="jumps of the reference; absent up to version 0.2.0")
+    low_margins: MarginsPair | None = Field(
+        None,
+        description="5 % quantile of gain and phase margin, and 95 % quantile of the sensitivity, over the operating "
+        "points; absent up to version 0.2.0",
     )
     summary: str = Field(description="the result in sentences")
 

@@ -251,7 +251,7 @@ def test_quadratic_models_continue_where_gradients_are_meaningless(monkeypatch):
         return bowl if point[2] < 0.65 else 1e9
 
     def evaluate_stub(problem, points, objective):
-        terms = np.zeros((len(points), 4))
+        terms = np.zeros((len(points), len(TERMS)))
         terms[:, 0] = [rough(p) for p in np.asarray(points)]
         return terms, np.full((len(points), 5), -1.0)
 
@@ -748,7 +748,7 @@ def test_a_draw_that_is_unstable_when_linearised_is_a_problem(tmp_path, monkeypa
 
 
 def test_the_effect_of_pulses_is_compared_with_their_mean(tmp_path, monkeypatch):
-    kept = TuningResult(np.zeros(1), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
+    kept = TuningResult(np.zeros(2), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: kept)
     monkeypatch.setattr(
         "smajax.api.tune.export_files", lambda _: ExportedFiles({}, {})
@@ -779,7 +779,7 @@ def test_a_duty_above_one_is_refused(tmp_path):
 def test_a_limit_that_cannot_be_kept_does_not_violate_the_others(tmp_path):
     """No wire settles within 50 ms; the start gains keep the limit on overshoot, and so do the tuned gains."""
     limits = '[limits]\nsettling = "0.05 s"\novershoot = "20 %"\n'
-    done = run(tmp_path, FILE + limits)
+    done = run(tmp_path, FILE.replace("[tune]", "[tune]\ncheck = 1") + limits)
     assert done.exit_code == 3, done.output
     problems = json.loads((tmp_path / "out" / "tune.json").read_text())["problems"]
     assert len(problems) == 1 and problems[0].startswith("the limit on settling is not met"), problems

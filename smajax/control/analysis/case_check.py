@@ -1,0 +1,160 @@
+"""Check of one set of gains on many cases, none of which a search has used: the worst of each metric, and its case."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smajax.control.analysis.cases import Case, rounded
+from smajax.control.analysis.closed_loop_checks import (
+    ControlTask,
+    jump_responses,
+    metric_of_limit,
+    rollout_instability,
+    rollout_metrics,
+    violated_limits,
+)
+from smajax.control.analysis.step_response import StepResponse
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import gain, gains, with_gains
+from smajax.control.loop.rollout import Rollout, Scenario, simulate_loop
+from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.loop_kernels import jit_with_kernels
+
+# Number of cases in one call of the compiled program; chosen by trial for speed.
+BATCH = 32
+
+
+class WorstCase(NamedTuple):
+    """Worst value of a metric over the cases.
+
+    Attributes:
+        value: The metric; infinite if it is NaN in any case.
+        case: Number of the case.
+    """
+
+    value: float
+    case: int
+
+
+class CaseCheck(NamedTuple):
+    """Rollouts of one set of gains on many cases.
+
+    Attributes:
+        cases: The cases.
+        metrics: Metrics of each, by their names in tune.json.
+        responses: Response to each jump of the reference, of each case.
+        unstable: Numbers of the cases without noise that are unstable.
+        beyond: Numbers of the cases that violate each limit, by its name, without limits that all keep.
+    """
+
+    cases: tuple[Case, ...]
+    metrics: tuple[dict[str, float], ...]
+    responses: tuple[tuple[StepResponse, ...], ...]
+    unstable: tuple[int, ...]
+    beyond: dict[str, tuple[int, ...]]
+
+    @property
+    def failing(self) -> tuple[int, ...]:
+        """Numbers of the cases that are unstable or violate a limit."""
+        return tuple(sorted({*self.unstable, *(k for rows in self.beyond.values() for k in rows)}))
+
+    @property
+    def groups(self) -> dict[str, int]:
+        """Number of cases of each group."""
+        return dict(Counter(case.group for case in self.cases))
+
+    def worst(self, metric: str) -> WorstCase:
+        """Return the largest value of a metric, and its case."""
+        return _largest([values[metric] for values in self.metrics])
+
+    def worst_response(self, jump: int, name: str) -> WorstCase:
+        """Return the largest rise, settling or overshoot of a jump, and its case."""
+        return _largest([getattr(response[jump], name) for response in self.responses])
+
+
+def _largest(values: Sequence[float]) -> WorstCase:
+    numbers = [math.inf if math.isnan(v) else v for v in values]
+    case = int(np.argmax(numbers))
+    return WorstCase(numbers[case], case)
+
+
+def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[Case]) -> CaseCheck:
+    """Simulate one set of gains on all cases.
+
+    Args:
+        task: The control task.
+        tuned: Gains in internal units; others keep their start values.
+        cases: The cases.
+
+    Returns:
+        Metrics and responses of each case, and the cases that fail.
+    """
+    metrics: list[dict[str, float]] = []
+    responses: list[tuple[StepResponse, ...]] = []
+    unstable: list[int] = []
+    beyond: dict[str, list[int]] = {}
+    for first in range(0, len(cases), BATCH):
+        # The last batch is padded with the last case, so that one compiled program serves all batches.
+        batch = [cases[min(k, len(cases) - 1)] for k in range(first, first + BATCH)]
+        result = _simulate_batch(task, tuned, batch)
+        channels, commands = {n: np.asarray(v) for n, v in result.channels.items()}, np.asarray(result.command)
+        for k in range(min(BATCH, len(cases) - first)):
+            own = {n: v[k] for n, v in channels.items()}
+            metrics.append(rollout_metrics(task, own, commands[k]))
+            responses.append(tuple(jump_responses(task, own[task.loop.channel])))
+            for name in violated_limits(task.limits, metrics[-1]):
+                beyond.setdefault(name, []).append(first + k)
+            is_quiet = not np.any(batch[k].noise)
+            if is_quiet and rollout_instability(task, commands[k], own[task.loop.channel]):
+                unstable.append(first + k)
+    rows = {name: tuple(numbers) for name, numbers in beyond.items()}
+    return CaseCheck(tuple(cases), tuple(metrics), tuple(responses), tuple(unstable), rows)
+
+
+def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequence[Case]) -> Rollout:
+    """Rollouts of a batch of cases."""
+    own = {name: float(gain(task.loop, name)) for name in gains(task.loop)} | dict(tuned)
+    values = {n: jnp.asarray([rounded(v, case.digits) for case in batch], jnp.float64) for n, v in own.items()}
+    plants = {n: jnp.asarray([case.parameters[n] for case in batch], jnp.float64) for n in batch[0].parameters}
+    noise = jnp.asarray(np.stack([case.noise for case in batch]))
+    initial = jnp.asarray([case.initial for case in batch], jnp.float64)
+    return _simulate(task.system, task.loop, task.scenario, plants, noise, initial, values)
+
+
+@jit_with_kernels
+def _simulate(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    plants: dict[str, Float[Array, " cases"]],
+    noise: Float[Array, "cases samples"],
+    initial: Float[Array, " cases"],
+    values: dict[str, Float[Array, " cases"]],
+) -> Rollout:
+    """Rollouts of all cases, which differ in plants, noise, initial reference and gains."""
+
+    def simulate(plant: dict[str, jax.Array], draws: jax.Array, start: jax.Array, own: dict[str, jax.Array]) -> Rollout:
+        changed = system.with_parameters(plant) if plant else system
+        at = Scenario(scenario.reference, start, draws, scenario.changes, scenario.block)
+        return simulate_loop(changed, with_gains(loop, own), at)
+
+    return jax.vmap(simulate)(plants, noise, initial, values)
+
+
+def excess_of_limits(limits: Mapping[str, float], check: CaseCheck) -> dict[str, float]:
+    """Return by how much the worst case exceeds each limit, internal units; 0 where all keep it.
+
+    Args:
+        limits: Limits by name, internal units.
+        check: The check.
+    """
+    return {
+        name: max(check.worst(metric_of_limit(name)).value - limit, 0.0) if name in check.beyond else 0.0
+        for name, limit in limits.items()
+    }

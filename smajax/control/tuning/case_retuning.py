@@ -1,0 +1,144 @@
+"""Gains that are judged on cases that no search has used, and tuned again for the cases that fail."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from smajax.control.analysis.case_check import CaseCheck, check_cases, excess_of_limits
+from smajax.control.analysis.cases import Case
+from smajax.control.analysis.closed_loop_checks import metric_of_limit
+from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
+from smajax.control.tuning.population import evolve_population
+from smajax.control.tuning.problem import TuningProblem
+from smajax.control.tuning.search import VIOLATION_TOLERANCE, GainSearch
+from smajax.control.tuning.task import TuningTask
+from smajax.control.tuning.tune import TuningResult, tune
+from smajax.progress import PhasesAndSteps
+
+# Largest number of searches for cases that fail.
+_RETUNINGS = 3
+# Number of cases that a search uses, and how many of them may be failing ones. Chosen by trial.
+_MEMBERS = 24
+_MOST_FAILING = 12
+# Tightening of a limit that cases exceed, over the largest excess, and its largest value in each search as a share of
+# the limit: the search has the worst cases as members, and other cases exceed them by little. Chosen by trial.
+_TIGHTENING = 1.5
+_MAX_TIGHTENING = (0.05, 0.15, 0.4)
+# First radius, last radius and largest number of evaluations of COBYQA. Chosen by trial.
+_COBYQA = (0.1, 0.003, 60)
+
+
+class JudgedGains(NamedTuple):
+    """Gains with their check.
+
+    Attributes:
+        result: The gains; their number of rollouts is that of all searches.
+        check: Their check on cases that no search has used.
+        rounds: Number of searches for failing cases.
+    """
+
+    result: TuningResult
+    check: CaseCheck
+    rounds: int
+
+
+def judge_gains(
+    task: TuningTask,
+    problem: TuningProblem,
+    result: TuningResult,
+    cases: Callable[[int], Sequence[Case]],
+    progress: PhasesAndSteps,
+) -> JudgedGains:
+    """Check gains on cases, and tune them again up to three times for cases that violate a limit.
+
+    A search uses the failing cases and some of the others, with the limits that were exceeded tightened. Its gains are
+    checked on new cases, and used if fewer of them fail.
+
+    Args:
+        task: The tuning task.
+        problem: The tuning problem of the previous search.
+        result: The gains of the previous search.
+        cases: Returns the cases of a check by its number.
+        progress: Receives the phases and steps; a ``KeyboardInterrupt`` of it ends the search.
+    """
+    check = check_cases(task, result.gains, cases(0))
+    best, limits, seen, rounds = check, dict(task.limits), [], 0
+    # Limits that the search could not keep for its own members are not kept on other cases.
+    while best.beyond and rounds < _RETUNINGS and result.feasible and not result.interrupted:
+        limits = _tightened(limits, task.limits, excess_of_limits(task.limits, check), _MAX_TIGHTENING[rounds])
+        failing = sorted({k for rows in check.beyond.values() for k in rows}, key=lambda k: -_excess(task, check, k))
+        seen = [*(check.cases[k] for k in failing), *seen][:_MOST_FAILING]
+        others = [case for k, case in enumerate(check.cases) if k not in failing]
+        try:
+            progress.phase(
+                f"{len(failing)} of {len(check.cases)} cases miss a limit: tuning again for them", can_stop=True
+            )
+            other = _search(
+                replace(task, limits=limits), problem, result, [*seen, *others[: _MEMBERS - len(seen)]], progress
+            )
+        except KeyboardInterrupt:
+            result = result._replace(interrupted=True)
+            break
+        rounds += 1
+        check = check_cases(task, other.gains, cases(rounds))
+        rollouts = result.rollouts + other.rollouts
+        is_better = _rank(task, check) < _rank(task, best)
+        best = check if is_better else best
+        result = (other if is_better else result)._replace(rollouts=rollouts, feasible=True)
+    return JudgedGains(result, best, rounds)
+
+
+def _rank(task: TuningTask, check: CaseCheck) -> tuple[int, float]:
+    """Sort key of checks: number of failing cases, then the largest excess; smaller is better."""
+    failing = check.failing
+    return len(failing), max((_excess(task, check, k) for k in failing), default=0.0)
+
+
+def _excess(task: TuningTask, check: CaseCheck, case: int) -> float:
+    """Largest excess of a case over its limits, as a share of the limit."""
+    values = check.metrics[case]
+    shares = [(values[metric_of_limit(n)] - v) / max(abs(v), 1e-9) for n, v in task.limits.items()]
+    return max((share for share in shares if share == share), default=0.0)
+
+
+def _tightened(
+    limits: Mapping[str, float], original: Mapping[str, float], excess: Mapping[str, float], most: float
+) -> dict[str, float]:
+    """Limits after those that a case exceeds are tightened, by at most a share of their original value."""
+    wanted = {k: original[k] - min(_TIGHTENING * excess[k], most * abs(original[k])) for k in limits}
+    return {k: min(v, wanted[k]) if excess[k] > 0.0 else v for k, v in limits.items()}
+
+
+def _search(
+    task: TuningTask,
+    problem: TuningProblem,
+    result: TuningResult,
+    cases: Sequence[Case],
+    progress: PhasesAndSteps,
+) -> TuningResult:
+    """The best gains for some cases: by quadratic models from the last gains, then by a population."""
+    chosen = [cases[k % len(cases)] for k in range(_MEMBERS)]
+    members = {name: np.array([case.parameters[name] for case in chosen]) for name in chosen[0].parameters}
+    noise = np.stack([case.noise for case in chosen])
+    on_cases = TuningProblem.of(task.system, problem.loop, task.scenario, task.bounds, members, noise)
+
+    def report(count: int, cost: float) -> None:
+        progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count)
+
+    if task.settle:
+        return tune(on_cases, task.weights, task.limits, settle=True, band=task.band, progress=report)
+    search = GainSearch(on_cases, make_objective(task.weights, task.limits, task.band), report)
+    best = search.search_by_cobyqa(result.point, on_cases, *_COBYQA)
+    if best.violation > 0.0:
+        best = evolve_population(search, best.point)
+    terms, violations = search.evaluate(best.point[None])
+    return result._replace(
+        point=best.point,
+        gains={name: float(v) for name, v in on_cases.gains(best.point).items()},
+        terms={t: float(v) for t, v in zip(TERMS, terms[0] / search.scale, strict=True)},
+        violations={k: float(v) for k, v in zip(LIMITS, violations[0], strict=True) if k in task.limits},
+        feasible=float(np.max(violations[0])) <= VIOLATION_TOLERANCE,
+        rollouts=search.rollouts,
+    )
