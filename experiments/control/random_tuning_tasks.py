@@ -1,0 +1,179 @@
+"""Random tuning tasks: do the printed limits hold on the exact simulator, with noise that no search has seen?
+
+    python experiments/control/random_tuning_tasks.py [--tasks N] [--de] [--quick] [--json FILE] [--out DIR]
+
+Each task is a wire with its load, reference, noise and limits, drawn at random; ``smajax tune`` finds the gains. The
+exact simulator of tests/reference, which shares no code with smajax, runs its own PID controller with these gains 20
+times, with fresh noise and ambient temperatures within 3 K. A limit counts where the command printed it as kept.
+``--de`` also searches each task by differential evolution with 20 times the rollouts, on eight draws of the noise, and
+judges its gains in the same way; this takes several minutes a task. --quick takes two tasks.
+"""
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
+
+from experiments.common.base import Row, arguments, finish, say
+from experiments.common.tuning_tasks import DRAWS, ExactRun, TuningTask, exact_runs, random_task, write_files
+
+import numpy as np
+import scipy.optimize
+
+from smajax.api.tune import TuningStudy, tune
+from smajax.control.controller_file.read import ControllerFile
+from smajax.control.loop.gains import gain, gains
+from smajax.control.tuning.objective import make_objective
+from smajax.control.tuning.problem import TuningProblem, noise_draws
+from smajax.control.tuning.search import BATCH, GainSearch
+
+TASKS = 50
+# Share of all runs, and number of the runs of each task, that keep the limits which were printed as kept.
+SHARE, LEAST = 0.95, 17
+# Largest distance of the exact tracking error from the printed one.
+PERFORMANCE = 0.1
+# Rollouts of differential evolution over those of the tuning, and its population for each gain.
+BUDGET = 20
+POPULATION = 15
+_VIOLATION_PENALTY = 1e3
+
+
+def main() -> None:
+    """Print the table."""
+    options = {
+        "--tasks": {"type": int, "default": TASKS, "metavar": "N", "help": "number of tasks"},
+        "--de": {"action": "store_true", "help": "compare with differential evolution"},
+    }
+    args = arguments(__doc__ or "", quick="two tasks", more=options)
+    tasks = [random_task(k) for k in range(2 if args.quick else args.tasks)]
+    results = []
+    for task in tasks:
+        began = time.perf_counter()
+        results.append(judge(task, args.de))
+        say(f"{task.words}: {results[-1]['words']} ({time.perf_counter() - began:.0f} s)")
+    words = f" --tasks {args.tasks}" if args.tasks != TASKS and not args.quick else ""
+    finish(rows_of(results), args, words=words + (" --de" if args.de else ""))
+
+
+def judge(task: TuningTask, evolve: bool) -> dict[str, Any]:
+    """Return the numbers of a task, with a text.
+
+    Args:
+        task: The task.
+        evolve: Whether differential evolution is compared.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        study = tune(*write_files(task, Path(folder)))
+    check, metrics = study.document["case_check"], study.document["metrics"]["tuned"]
+    printed = {name: limit for name, limit in task.limits.items() if name not in check["beyond"]}
+    runs = exact_runs(task, study.gains)
+    ratio = float(np.median([run.rmse for run in runs])) / metrics["rmse"]
+    numbers: dict[str, Any] = {
+        "task": task.words,
+        "kept": sum(keeps(run, printed) for run in runs) if printed else None,
+        "missed": sorted(check["beyond"]),
+        "exit_code": study.exit_code,
+        "ratio": ratio,
+        "rollouts": study.document["rollouts"],
+        "retunings": check["retunings"],
+    }
+    words = f"{numbers['kept']} of {DRAWS} runs" if printed else "no limit printed as kept"
+    if numbers["missed"]:
+        words += f", printed as not met: {' and '.join(numbers['missed'])}"
+    words += f"; RMSE {1e3 * metrics['rmse']:.3f} mm printed, {ratio:.3f} of it on the exact simulator"
+    if evolve:
+        numbers |= evolution(task, study, runs)
+        words += f"; differential evolution: {numbers['evolution_kept']} of {DRAWS} runs, RMSE ratio of ours to it "
+        words += f"{numbers['evolution_ratio']:.3f}"
+    return numbers | {"words": words}
+
+
+def keeps(run: ExactRun, limits: dict[str, float]) -> bool:
+    """Return whether a run keeps all limits."""
+    return all(run.keeps(name, limit) for name, limit in limits.items())
+
+
+def evolution(task: TuningTask, study: TuningStudy, ours: list[ExactRun]) -> dict[str, Any]:
+    """Return how gains of differential evolution with twenty times the rollouts do on the exact simulator."""
+    assert study.result is not None
+    settings: ControllerFile = study.result.settings
+    noise = noise_draws(settings.loop, settings.scenario)
+    problem = TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, draws=noise)
+    search = GainSearch(problem, make_objective(settings.weights, settings.limits), lambda count, cost: None)
+
+    def cost(points: np.ndarray) -> np.ndarray:
+        rows = np.atleast_2d(points.T)
+        found = [c for k in range(0, len(rows), BATCH) for c in search.candidates(rows[k : k + BATCH])]
+        return np.array([c.cost + _VIOLATION_PENALTY * c.violation for c in found])
+
+    size = POPULATION * len(problem.names)
+    generations = max(BUDGET * study.document["rollouts"] // (size * problem.count) - 1, 1)
+    best = scipy.optimize.differential_evolution(
+        cost,
+        [(0.0, 1.0)] * len(problem.names),
+        popsize=POPULATION,
+        maxiter=generations,
+        rng=0,
+        polish=False,
+        tol=0.0,
+        vectorized=True,
+        updating="deferred",
+    )
+    values = {name: float(gain(settings.loop, name)) for name in gains(settings.loop)}
+    values |= {name: float(value) for name, value in problem.gains(best.x).items()}
+    runs = exact_runs(task, values)
+    ratio = float(np.median([run.rmse for run in ours])) / float(np.median([run.rmse for run in runs]))
+    return {"evolution_kept": sum(keeps(run, task.limits) for run in runs), "evolution_ratio": ratio}
+
+
+def rows_of(results: list[dict[str, Any]]) -> list[Row]:
+    """Return the rows of the table."""
+    rows = [
+        Row(
+            result["task"],
+            f">= {LEAST} of {DRAWS}",
+            result["words"],
+            None if result["kept"] is None else result["kept"] >= LEAST,
+            result,
+        )
+        for result in results
+    ]
+    printed = [result["kept"] for result in results if result["kept"] is not None]
+    kept, total = sum(printed), DRAWS * len(printed)
+    refused = sum(bool(result["missed"]) for result in results)
+    ratios = np.array([result["ratio"] for result in results])
+    near = int(np.sum(np.abs(ratios - 1.0) <= PERFORMANCE))
+    rows += [
+        Row(
+            "runs that keep the limits printed as kept",
+            f">= {100 * SHARE:.0f} %",
+            f"{kept} of {total}",
+            kept >= SHARE * total,
+        ),
+        Row(
+            "tasks with enough such runs",
+            "all",
+            f"{sum(k >= LEAST for k in printed)} of {len(printed)}",
+            min(printed, default=DRAWS) >= LEAST,
+        ),
+        Row("tasks with a limit printed as not met", "-", f"{refused} of {len(results)}", None),
+        Row(
+            "tasks whose RMSE is within 10 % of the printed one",
+            "all",
+            f"{near} of {len(results)}",
+            near == len(results),
+        ),
+    ]
+    if results and "evolution_kept" in results[0]:
+        theirs = sum(result["evolution_kept"] for result in results)
+        ratio = float(np.median([result["evolution_ratio"] for result in results]))
+        text = f"{theirs} of {DRAWS * len(results)} runs keep all limits; median RMSE of ours over its {ratio:.3f}"
+        rows.append(Row("differential evolution, 20 times the rollouts", "-", text, None))
+    return rows
+
+
+if __name__ == "__main__":
+    main()
