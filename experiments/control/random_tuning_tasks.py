@@ -86,7 +86,7 @@ def judge(task: TuningTask, evolve: bool) -> dict[str, Any]:
     words += f"; RMSE {1e3 * metrics['rmse']:.3f} mm printed, {ratio:.3f} of it on the exact simulator"
     if evolve:
         numbers |= evolution(task, study, runs)
-        words += f"; differential evolution: {numbers['evolution_kept']} of {DRAWS} runs, RMSE ratio of ours to it "
+        words += f"; differential evolution: {numbers['evolution_kept']} of {DRAWS} runs; RMSE over its RMSE "
         words += f"{numbers['evolution_ratio']:.3f}"
     return numbers | {"words": words}
 
@@ -96,7 +96,7 @@ def keeps(run: ExactRun, limits: dict[str, float]) -> bool:
     return all(run.keeps(name, limit) for name, limit in limits.items())
 
 
-def evolution(task: TuningTask, study: TuningStudy, ours: list[ExactRun]) -> dict[str, Any]:
+def evolution(task: TuningTask, study: TuningStudy, tuned: list[ExactRun]) -> dict[str, Any]:
     """Return how gains of differential evolution with twenty times the rollouts do on the exact simulator."""
     assert study.result is not None
     settings: ControllerFile = study.result.settings
@@ -125,7 +125,7 @@ def evolution(task: TuningTask, study: TuningStudy, ours: list[ExactRun]) -> dic
     values = {name: float(gain(settings.loop, name)) for name in gains(settings.loop)}
     values |= {name: float(value) for name, value in problem.gains(best.x).items()}
     runs = exact_runs(task, values)
-    ratio = float(np.median([run.rmse for run in ours])) / float(np.median([run.rmse for run in runs]))
+    ratio = float(np.median([run.rmse for run in tuned])) / float(np.median([run.rmse for run in runs]))
     return {"evolution_kept": sum(keeps(run, task.limits) for run in runs), "evolution_ratio": ratio}
 
 
@@ -170,7 +170,7 @@ def rows_of(results: list[dict[str, Any]]) -> list[Row]:
     if results and "evolution_kept" in results[0]:
         theirs = sum(result["evolution_kept"] for result in results)
         ratio = float(np.median([result["evolution_ratio"] for result in results]))
-        text = f"{theirs} of {DRAWS * len(results)} runs keep all limits; median RMSE of ours over its {ratio:.3f}"
+        text = f"{theirs} of {DRAWS * len(results)} runs keep all limits; median of the RMSE over its RMSE {ratio:.3f}"
         rows.append(Row("differential evolution, 20 times the rollouts", "-", text, None))
     return rows
 
