@@ -35,6 +35,8 @@ _MAX_CORRELATION = -0.5
 _MIN_MOTION = 0.05
 # A factor is a power of ten if its logarithm is this close to a whole number: a factor of 1.6 either way.
 _POWER_TOLERANCE = 0.2
+# Any other factor counts from here on, either way: alloys transform by 2 to 8 %, a factor of two from what is usual.
+_LARGE_FACTOR = 5.0
 # Correlation from which the shape of a recording is the model's, so that their ratio says something.
 _SAME_SHAPE = 0.8
 # Channels whose value is 0 as installed, by definition of the rig's coordinate.
@@ -146,7 +148,7 @@ def _channel_findings(
         findings.append(BenchFinding("sign", channel, names, f"{channel} {falls}: {rule}", remedy))
     factor = _factor(measured[rows], model[rows])
     if response.transforms and not gain_is_free and factor is not None:
-        times = f"{factor:g} times" if factor > 1 else f"a {_ORDINALS.get(factor, f'{1 / factor:g}th')} of"
+        times = f"a {_ORDINALS[factor]} of" if factor in _ORDINALS else f"{float(f'{factor:.2g}'):g} times"
         unit = recording.units.get(channel, channel_unit(channel))
         text = f"{channel} is {times} what the rig's values give"
         findings.append(BenchFinding("unit", channel, names, text, f"check its unit, which is read as {unit}"))
@@ -178,12 +180,14 @@ def _is_reversed(plant: Plant, response: BenchResponse, channel: str, measured: 
 
 
 def _factor(measured: np.ndarray, model: np.ndarray) -> float | None:
-    """Power of ten between a channel and the model of the same shape; ``None`` where there is none."""
+    """Factor between a channel and the model of the same shape, a power of ten if it is near one; ``None`` if usual."""
     if abs(float(np.corrcoef(measured, model)[0, 1])) < _SAME_SHAPE:
         return None
     power = math.log10(float(np.std(measured)) / float(np.std(model)))
     whole = round(power)
-    return 10.0**whole if whole and abs(power - whole) <= _POWER_TOLERANCE else None
+    if whole and abs(power - whole) <= _POWER_TOLERANCE:
+        return 10.0**whole
+    return 10.0**power if abs(power) > math.log10(_LARGE_FACTOR) else None
 
 
 def _offset(plant: Plant, recording: Recording, response: BenchResponse, channel: str, sign: float) -> float | None:

@@ -24,7 +24,7 @@ _MOVES = 20.0
 # Least correlation of a recording with the rig at another scale.
 _FITS = 0.6
 # Share of the variance that the present scale leaves, over that of another one, from which the other one is right.
-_BETTER = 4.0
+_BETTER = 2.5
 _TIME_FACTORS = (1e-3, 1e3)
 _INPUT_FACTORS = (0.1, 1e-3, 10.0, 1e3)
 _WORDS = {0.1: "a tenth", 1e-3: "a thousandth", 10.0: "ten times", 1e3: "a thousand times"}

@@ -65,6 +65,10 @@ SPOILED = {
     ),
     "motion-a-tenth": ({"displacement": lambda v: 0.1 * v}, ["displacement is a tenth of what the rig's values give"]),
     "motion-a-thousandth": ({"displacement": lambda v: 1e-3 * v}, ["displacement is a thousandth of what"]),
+    "motion-in-inches": (
+        {"displacement": lambda v: v / 25.4},
+        ["displacement is 0.0", "times what the rig's values give"],
+    ),
     "current-ten-times": (
         {"current": lambda v: 10.0 * v},
         ["current heats the wire to", "a tenth of the current", "check the unit of current, which is read as A"],
@@ -82,6 +86,14 @@ def test_a_spoiled_recording_gets_the_sentence_on_its_fault(rig, recording, name
     assert findings[0].sentence.startswith("train.csv: ")
     for word in words:
         assert word in findings[0].sentence
+
+
+def test_a_clock_in_ms_is_found_where_the_values_of_the_rig_are_rough(rig, recording):
+    """The alloy of the recording transforms 8 K lower: the rig follows it less well on any clock."""
+    rough = parameters.replace(rig.plant, {"material.austenite_shift": 8.0, "material.martensite_shift": 8.0})
+    slow = spoiled(recording, time=lambda v: 1e3 * v)
+    assert [f.code for f in bench_findings(rough, [slow], rig.fit)] == ["clock"]
+    assert bench_findings(rough, [recording], rig.fit) == []
 
 
 def test_a_reversed_sensor_with_an_offset_gets_both_cures(rig, recording):
