@@ -49,27 +49,48 @@ class ChannelSettings:
 _SCALE = {"factor": 1.0, "offset": 0.0, "full_scale": 1.0, "limits": None}
 
 
-class _Column(BaseModel):
+class Column(BaseModel):
+    """The keys of a channel's column."""
+
     model_config = STRICT
-    column: str | None = Field(None, min_length=1, examples=['"Laser (um)"'])
-    unit: str | None = Field(None, examples=['"um"'])
-    any_scale: bool = Field(False, examples=["true"])
-    factor: float = Field(1.0, allow_inf_nan=False, examples=["-0.0087"])
-    offset: float = Field(0.0, allow_inf_nan=False, examples=["7.5"])
-    full_scale: float = Field(1.0, gt=0, allow_inf_nan=False, examples=["255"])
-    limits: list[float] | None = Field(None, min_length=2, max_length=2, examples=["[0, 1]"])
+    column: str | None = Field(
+        None, min_length=1, examples=['"Laser (um)"'], description="header of the column in the file"
+    )
+    unit: str | None = Field(None, examples=['"um"'], description="unit of the numbers, after factor and offset")
+    any_scale: bool = Field(
+        False, examples=["true"], description="whether values far outside of the usual range are accepted"
+    )
+    factor: float = Field(
+        1.0,
+        allow_inf_nan=False,
+        examples=["-0.0087"],
+        description="factor of the numbers: value = factor * number / full_scale + offset",
+    )
+    offset: float = Field(0.0, allow_inf_nan=False, examples=["7.5"], description="offset of the values, in unit")
+    full_scale: float = Field(
+        1.0, gt=0, allow_inf_nan=False, examples=["255"], description="largest number of a converter"
+    )
+    limits: list[float] | None = Field(
+        None, min_length=2, max_length=2, examples=["[0, 1]"], description="values beyond these two count as the limit"
+    )
 
 
-class _Layout(BaseModel):
+class Layout(BaseModel):
     """The keys that are not channels; those of ``OLD_KEYS`` are read by ``recording_options``."""
 
     model_config = STRICT
-    unit: Any = None
-    ignore: list[str] = Field([], examples=['["Operator", "Remarks"]'])
-    skip_rows: int = Field(0, ge=0, le=MAX_SKIPPED_ROWS, examples=["3"])
-    delimiter: str = Field(",", min_length=1, max_length=1, examples=['";"'])
-    decimal: Annotated[str, one_of([".", ","])] = "."
-    sheet: str | None = Field(None, examples=['"Sheet1"'])
+    unit: Any = Field(None, description="unit of the only mapped channel, or a table of units by channel")
+    ignore: list[str] = Field(
+        [], examples=['["Operator", "Remarks"]'], description="headers of columns that are no channels"
+    )
+    skip_rows: int = Field(
+        0, ge=0, le=MAX_SKIPPED_ROWS, examples=["3"], description="earlier place of recording.skip_rows"
+    )
+    delimiter: str = Field(
+        ",", min_length=1, max_length=1, examples=['";"'], description="earlier place of recording.delimiter"
+    )
+    decimal: Annotated[str, one_of([".", ","])] = Field(".", description="earlier place of recording.decimal")
+    sheet: str | None = Field(None, examples=['"Sheet1"'], description="earlier place of recording.sheet")
 
 
 def channel_settings(data: Any) -> ChannelSettings:
@@ -87,13 +108,13 @@ def channel_settings(data: Any) -> ChannelSettings:
         InputError: If a key, a channel, a column or a unit is not valid.
     """
     for key in data if isinstance(data, dict) else ():
-        if key not in _Layout.model_fields and channel_of(key) is None:
-            keys = [*CHANNELS, *_Layout.model_fields]
+        if key not in Layout.model_fields and channel_of(key) is None:
+            keys = [*CHANNELS, *Layout.model_fields]
             raise InputError(
                 f"channels.{key} is neither a channel nor an option{advice(key, keys, 'the channels and options are')}"
             )
     layout_data = {k: v for k, v in data.items() if channel_of(k) is None} if isinstance(data, dict) else data
-    layout = validate(_Layout, layout_data, "channels")
+    layout = validate(Layout, layout_data, "channels")
     columns = {channel: _read_column(channel, source) for channel, source in data.items() if channel_of(channel)}
     units = _read_units(layout.unit, columns)
     sources = {}
@@ -127,14 +148,14 @@ def _check_unit(channel: str, unit: str) -> None:
         raise InputError(f"channels.{channel}: '{unit}' is not a unit of {channel_of(channel)}: {cure}") from None
 
 
-def _read_column(channel: str, source: Any) -> _Column:
+def _read_column(channel: str, source: Any) -> Column:
     if not isinstance(source, str | dict):
         cure = 'write it like "Laser (um)" or {column = "Laser (um)", unit = "um"}'
         raise InputError(f"channels.{channel} = {show(source)} is not the header of a column: {cure}")
-    return validate(_Column, {"column": source} if isinstance(source, str) else source, f"channels.{channel}")
+    return validate(Column, {"column": source} if isinstance(source, str) else source, f"channels.{channel}")
 
 
-def _read_units(unit: Any, columns: Mapping[str, _Column]) -> dict[str, str]:
+def _read_units(unit: Any, columns: Mapping[str, Column]) -> dict[str, str]:
     """Return the units by channel that ``channels.unit`` gives."""
     if unit is None:
         return {}

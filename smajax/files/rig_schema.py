@@ -20,23 +20,65 @@ class RigSection(BaseModel):
     """The section ``[rig]``."""
 
     model_config = STRICT
-    kind: Annotated[str, one_of(MECHANISMS)] = Field(examples=['"dead-weight"'])
-    control: Annotated[str, one_of((*DRIVES, PRESCRIBED_TEMPERATURE))] | None = Field(None, examples=['"current"'])
-    interpolation: Annotated[str, one_of(INTERPOLATIONS)] = "hold"
-    parameters: Any = Field(None, examples=['"my-wire.toml"'])
+    kind: Annotated[str, one_of(MECHANISMS)] = Field(
+        examples=['"dead-weight"'], description="what the wire works against"
+    )
+    control: Annotated[str, one_of((*DRIVES, PRESCRIBED_TEMPERATURE))] | None = Field(
+        None,
+        examples=['"current"'],
+        description="electrical input of the recordings, or a prescribed temperature; not for a path",
+    )
+    interpolation: Annotated[str, one_of(INTERPOLATIONS)] = Field(
+        "hold", description="the input between samples: hold keeps the last value, linear interpolates"
+    )
+    parameters: Any = Field(
+        None,
+        examples=['"my-wire.toml"'],
+        description="parameter set, shipped or a file; values of the rig file come before it",
+    )
 
 
 class FitSection(BaseModel):
     """The section ``[fit]``, checked without the plant."""
 
     model_config = STRICT
-    model: Annotated[str, one_of(MATERIALS)] = "brinson"
-    free: list[str] = Field([], examples=['["heat.h0", "heat.capacity"]'])
-    per_recording: list[str] = Field([], examples=['["environment.ambient"]'])
-    initial: list[str] = Field([], examples=['["temperature"]'])
-    bounds: dict[str, Any] = Field({}, examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'])
-    observe: list[str] | None = Field(None, examples=['["displacement"]'])
-    noise: dict[str, Any] = Field({}, examples=['{displacement = "0.02 mm"}'])
-    input_noise: Any = Field(None, examples=['"1 mA"'])
-    starts: int | None = Field(None, ge=1, le=MAX_STARTS, examples=["4"])
-    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])
+    model: Annotated[str, one_of(MATERIALS)] = Field("brinson", description="material law")
+    free: list[str] = Field(
+        [], examples=['["heat.h0", "heat.capacity"]'], description="parameters that are fitted, by SECTION.KEY"
+    )
+    per_recording: list[str] = Field(
+        [],
+        examples=['["environment.ambient"]'],
+        description="fitted parameters that have another value in each recording",
+    )
+    initial: list[str] = Field(
+        [], examples=['["temperature"]'], description="initial states that are fitted: temperature, detwinned, twinned"
+    )
+    bounds: dict[str, Any] = Field(
+        {},
+        examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'],
+        description="lower and upper bound of fitted parameters",
+    )
+    observe: list[str] | None = Field(
+        None,
+        examples=['["displacement"]'],
+        description="channels that are fitted and scored; by default the motion of the rig",
+    )
+    noise: dict[str, Any] = Field(
+        {},
+        examples=['{displacement = "0.02 mm"}'],
+        description="standard deviation of a channel's noise; estimated where it is not given",
+    )
+    input_noise: Any = Field(
+        None,
+        examples=['"1 mA"'],
+        description="standard deviation of the electrical input's noise, none, or estimated (the default)",
+    )
+    starts: int | None = Field(
+        None,
+        ge=1,
+        le=MAX_STARTS,
+        examples=["4"],
+        description="points from which the search begins; 4, or one for each of more than ten free parameters",
+    )
+    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"], description="seed of all random numbers")

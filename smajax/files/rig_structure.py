@@ -20,14 +20,26 @@ class WireStructure(BaseModel):
     """The key of ``[wire]`` that is not a parameter."""
 
     model_config = STRICT
-    cells: int = Field(1, ge=1, le=_MAX_CELLS, examples=["9"])
+    cells: int = Field(
+        1,
+        ge=1,
+        le=_MAX_CELLS,
+        examples=["9"],
+        description="number of cells along the wire; 1 is a wire of one temperature",
+    )
 
 
 class MaterialStructure(BaseModel):
     """The key of ``[material]`` that is not a parameter."""
 
     model_config = STRICT
-    grains: int = Field(1, ge=1, le=_MAX_GRAINS, examples=["6"])
+    grains: int = Field(
+        1,
+        ge=1,
+        le=_MAX_GRAINS,
+        examples=["6"],
+        description="number of grains in each cell, with transformation temperatures of their own",
+    )
 
 
 class Structure(NamedTuple):

@@ -49,11 +49,35 @@ def one_of(choices: Collection[str]) -> BeforeValidator:
         choices: The words; a registry is asked anew at each check.
     """
 
-    def check(value: Any) -> str:
-        if isinstance(value, str) and value in choices:
+    return BeforeValidator(OneOf(choices))
+
+
+class OneOf:
+    """Check that a value is one of some words.
+
+    Attributes:
+        choices: The words.
+    """
+
+    def __init__(self, choices: Collection[str]):
+        """Make the check.
+
+        Args:
+            choices: The words; a registry is asked anew at each check.
+        """
+        self.choices = choices
+
+    def __call__(self, value: Any) -> str:
+        """Return the word.
+
+        Args:
+            value: Value in the file.
+
+        Raises:
+            InputError: If it is none of the words.
+        """
+        if isinstance(value, str) and value in self.choices:
             return value
-        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in choices]
+        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in self.choices]
         hint = suggestion(str(value), shown)
         raise InputError(f"{show(value)} is not known{hint}: it is one of {', '.join(shown)}")
-
-    return BeforeValidator(check)

@@ -9,6 +9,7 @@ from smajax.plant.effects import catalogue
 from smajax.report.documents.diagnosis import STRUCTURE_KEYS
 from smajax.report.shown_values import shown_unit
 from smajax.report.summary import bench_sentences
+from smajax.report.topics import diagnosis_topics, explained
 from smajax.units import from_si
 
 Document = Mapping[str, Any]
@@ -68,6 +69,7 @@ def text(doc: Document, folder: str = "") -> str:
     bench = bench_sentences(doc)
     lines = [*bench, *([""] if bench else []), f"Verdict: {doc['verdict']}", "", *sentences(doc)[len(bench) :], ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
+    lines += [*explained(diagnosis_topics(doc)), ""]
     place = f"; all results in {folder}" if folder else ""
     lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s{place}")
     return "\n".join(lines)

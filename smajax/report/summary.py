@@ -11,6 +11,7 @@ from textwrap import wrap
 from typing import Any, NamedTuple
 
 from smajax.files.documents import is_undetermined
+from smajax.report.topics import NOT_CONVERGED, explained, fit_topics
 from smajax.units import example_of, from_si
 
 Document = Mapping[str, Any]
@@ -33,7 +34,6 @@ _ALMOST_NOTHING = 5e-5
 # Powers of ten beyond which numbers are shown with an exponent.
 _LARGE_EXPONENT = 7
 _SMALL_EXPONENT = -4
-_NOT_CONVERGED = ("interrupted", "steps", "diverged")
 
 
 class ResidualCode(enum.StrEnum):
@@ -104,6 +104,8 @@ def text(doc: Document, folder: str = "") -> str:
             "",
             *(line for s in sentences for line in wrap(s, _WIDTH, initial_indent="- ", subsequent_indent="  ")),
         ]
+    is_bad = any(verdict.is_bad for verdict in residual_verdicts(doc))
+    lines += explained(fit_topics(doc, is_bad))
     if folder:
         lines += ["", f"Results: {folder}"]
     return "\n".join(line.rstrip() for line in lines)
@@ -145,7 +147,7 @@ def residual_verdicts(doc: Document) -> list[ResidualVerdict]:
             code = ResidualCode.noise
         elif ratio <= _NEAR_NOISE:
             code = ResidualCode.near_noise
-        elif doc["solver"]["code"] in _NOT_CONVERGED:
+        elif doc["solver"]["code"] in NOT_CONVERGED:
             code = ResidualCode.not_converged
         # A fit without a residual has no ratio; any error on the holdout is then worse.
         worse = (holdout / train if train else math.inf if holdout else 1.0) if holdout is not None else None
@@ -367,7 +369,7 @@ def _start_sentences(doc: Document) -> list[str]:
     starts, best = solver["starts"], solver["starts_at_best"]
     if solver["code"] == "steps":
         return [f"The search took all of its {solver['steps']} steps: --max-steps {4 * solver['steps']} allows more."]
-    if solver["code"] == "failed" or solver["code"] in _NOT_CONVERGED:
+    if solver["code"] == "failed" or solver["code"] in NOT_CONVERGED:
         return []
     if starts == 1:
         return ["Only one start was used: --starts 4 would show whether there are other minima."]

@@ -28,14 +28,22 @@ _RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points", "catalogue")
 _WAVE = f"{INPUT}wave"
 
 
-class _Range(BaseModel):
+class Range(BaseModel):
+    """The keys of a parameter that varies."""
+
     model_config = STRICT
-    from_: Any = Field(None, alias="from", examples=['"0.1 mm"'])
-    to: Any = Field(None, examples=['"0.4 mm"'])
-    scale: Annotated[str, one_of(SCALES)] = "even"
-    points: int = Field(DEFAULT_POINTS, ge=2, le=100_000, examples=["5"])
-    values: list[Any] | None = Field(None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'])
-    catalogue: str | None = Field(None, examples=['"flexinol"'])
+    from_: Any = Field(None, alias="from", examples=['"0.1 mm"'], description="lower end of the range")
+    to: Any = Field(None, examples=['"0.4 mm"'], description="upper end of the range")
+    scale: Annotated[str, one_of(SCALES)] = Field(
+        "even", description="whether values are spread evenly over the range, or over its logarithm"
+    )
+    points: int = Field(DEFAULT_POINTS, ge=2, le=100_000, examples=["5"], description="values of a grid")
+    values: list[Any] | None = Field(
+        None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'], description="values in place of a range"
+    )
+    catalogue: str | None = Field(
+        None, examples=['"flexinol"'], description="parameter set whose stock diameters are taken, for wire.diameter"
+    )
 
 
 def read_axes(
@@ -135,7 +143,7 @@ def read_catalogues(data: Mapping[str, Any], folder: Path) -> dict[str, Catalogu
 
 def _read_waves(value: Any) -> Axis:
     """The axis of shapes of the input."""
-    settings = validate(_Range, value, _WAVE) if isinstance(value, dict) else None
+    settings = validate(Range, value, _WAVE) if isinstance(value, dict) else None
     names = settings.values if settings is not None else None
     if not names:
         raise InputError(f'parameters.{_WAVE} = {show(value)} is not a list: write {{ values = ["square", "sine"] }}')
@@ -150,9 +158,9 @@ def _read_axis(name: str, value: Any, declaration: Declaration, catalogues: Mapp
     if isinstance(value, list):
         if len(value) != 2:
             raise InputError(f'{show(value)} is not a range: write ["low", "high"], or {{ values = [...] }} for a list')
-        settings = _Range.model_validate({"from": value[0], "to": value[1]})
+        settings = Range.model_validate({"from": value[0], "to": value[1]})
     elif isinstance(value, dict):
-        settings = validate(_Range, value, name)
+        settings = validate(Range, value, name)
         if settings.catalogue is not None:
             return _catalogue_axis(name, value, catalogues[settings.catalogue])
     else:
@@ -181,7 +189,7 @@ def _catalogue_axis(name: str, value: Mapping[str, Any], catalogue: Catalogue) -
     return Axis(name, "m", min(sizes), max(sizes), values=sizes, catalogue=catalogue.wire)
 
 
-def _listed_axis(name: str, settings: _Range, extra_keys: Sequence[str], declaration: Declaration) -> Axis:
+def _listed_axis(name: str, settings: Range, extra_keys: Sequence[str], declaration: Declaration) -> Axis:
     listed = settings.values or []
     if settings.from_ is not None or settings.to is not None:
         raise InputError("it has both values and a range: take one of the two out")
@@ -197,7 +205,7 @@ def _listed_axis(name: str, settings: _Range, extra_keys: Sequence[str], declara
     return Axis(name, declaration.unit, min(values), max(values), values=values)
 
 
-def _ranged_axis(name: str, settings: _Range, declaration: Declaration) -> Axis:
+def _ranged_axis(name: str, settings: Range, declaration: Declaration) -> Axis:
     if settings.from_ is None or settings.to is None:
         missing = "from" if settings.from_ is None else "to"
         raise InputError(f"'{missing}' is missing: a range needs both from and to, or give values")

@@ -20,10 +20,12 @@ _UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
 _LIMIT_UNITS = {"peak_stress": "MPa", "peak_temperature": "degC", "strain_range": "%"}
 
 
-class _Limit(BaseModel):
+class Limit(BaseModel):
+    """The keys of a constraint."""
+
     model_config = STRICT
-    at_least: Any = Field(None, examples=['"5 mm"'])
-    at_most: Any = Field(None, examples=['"120 degC"'])
+    at_least: Any = Field(None, examples=['"5 mm"'], description="smallest value of the metric")
+    at_most: Any = Field(None, examples=['"120 degC"'], description="largest value of the metric")
 
 
 def check_metrics(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequence[str]:
@@ -100,13 +102,13 @@ def read_constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[A
     for name, value in section.items():
         if name not in subject.units:
             raise InputError(f"constraints.{name} is not a metric{_unknown_metric(name, subject.units)}")
-        limit = validate(_Limit, value, f"constraints.{name}")
+        limit = validate(Limit, value, f"constraints.{name}")
         constraints[name] = _read_bounds(name, limit, subject.units[name])
         _check_possible(name, limit, constraints[name], subject, axes)
     return constraints
 
 
-def _read_bounds(name: str, limit: _Limit, unit: str) -> tuple[float, float]:
+def _read_bounds(name: str, limit: Limit, unit: str) -> tuple[float, float]:
     bounds = []
     for key, otherwise in (("at_least", -math.inf), ("at_most", math.inf)):
         text = getattr(limit, key)
@@ -120,7 +122,7 @@ def _read_bounds(name: str, limit: _Limit, unit: str) -> tuple[float, float]:
 
 
 def _check_possible(
-    name: str, limit: _Limit, bounds: tuple[float, float], subject: Subject, axes: Sequence[Axis]
+    name: str, limit: Limit, bounds: tuple[float, float], subject: Subject, axes: Sequence[Axis]
 ) -> None:
     unit, (low, high) = subject.units[name], bounds
     place = f"constraints.{name}: at_most = {show(limit.at_most)} can never be satisfied"

@@ -26,14 +26,24 @@ class InputSection(BaseModel):
     """The section, checked without the rig."""
 
     model_config = STRICT
-    shape: Annotated[str, one_of(SHAPES)] | None = Field(None, alias="wave", examples=['"square"'])
-    amplitude: Any = Field(None, examples=['"0.4 A"'])
-    offset: Any = Field(None, examples=['"0.05 A"'])
-    frequency: Any = Field(None, examples=['"0.1 Hz"'])
-    highest: Any = Field(default=None, examples=['"10 Hz"'])
-    duty: Any = Field(None, examples=["0.5"])
-    cycles: int | None = Field(None, ge=1, le=10_000, examples=["4"])
-    recording: str | None = Field(None, examples=['"input.csv"'])
+    shape: Annotated[str, one_of(SHAPES)] | None = Field(
+        None, alias="wave", examples=['"square"'], description="shape of the periodic input"
+    )
+    amplitude: Any = Field(None, examples=['"0.4 A"'], description="height of the wave above the offset")
+    offset: Any = Field(None, examples=['"0.05 A"'], description="value to which the wave is added")
+    frequency: Any = Field(None, examples=['"0.1 Hz"'], description="frequency of the wave")
+    highest: Any = Field(
+        default=None, examples=['"10 Hz"'], description="highest frequency at which a bandwidth is looked for"
+    )
+    duty: Any = Field(None, examples=["0.5"], description="share of a cycle in which a square wave is on")
+    cycles: int | None = Field(
+        None,
+        ge=1,
+        le=10_000,
+        examples=["4"],
+        description="number of cycles that are simulated; the metrics are those of the last",
+    )
+    recording: str | None = Field(None, examples=['"input.csv"'], description="recording in place of a wave")
 
 
 def read_input(data: Mapping[str, Any]) -> InputSection:

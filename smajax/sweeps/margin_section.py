@@ -27,11 +27,19 @@ from smajax.units import as_text
 _MAX_VARIED = 4
 
 
-class _MarginSection(BaseModel):
+class MarginSection(BaseModel):
+    """The section ``[margins]``."""
+
     model_config = STRICT
-    vary: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = "3 K" }'])
-    fit: str | None = Field(None, examples=['"result"'])
-    constraints: list[str] | None = Field(None, examples=['["stroke"]'])
+    vary: dict[str, Any] = Field(
+        {},
+        examples=['{ "environment.ambient" = "3 K" }'],
+        description="half widths of ranges around the values of the rig or the design",
+    )
+    fit: str | None = Field(None, examples=['"result"'], description="folder of a fit whose intervals are the margins")
+    constraints: list[str] | None = Field(
+        None, examples=['["stroke"]'], description="constraints that hold with the margins; by default all but settling"
+    )
 
 
 def read_margins(data: Mapping[str, Any], subject: Subject, folder: Path) -> Margins | None:
@@ -50,7 +58,7 @@ def read_margins(data: Mapping[str, Any], subject: Subject, folder: Path) -> Mar
     """
     if "margins" not in data:
         return None
-    section = validate(_MarginSection, data["margins"], "margins")
+    section = validate(MarginSection, data["margins"], "margins")
     if not isinstance(subject, RigSubject):
         raise InputError("[margins] has no place with an actuator, only with a rig: take it out")
     widths = _read_widths(section, subject)
@@ -74,7 +82,7 @@ def read_margins(data: Mapping[str, Any], subject: Subject, folder: Path) -> Mar
     )
 
 
-def _read_widths(section: _MarginSection, subject: RigSubject) -> dict[str, float]:
+def _read_widths(section: MarginSection, subject: RigSubject) -> dict[str, float]:
     """Half widths of the ranges by parameter, in internal units."""
     widths = {}
     for key, text in flatten_keys(section.vary).items():
@@ -130,7 +138,7 @@ def with_margins(
     Raises:
         InputError: If there is no constraint that could have a margin.
     """
-    section = validate(_MarginSection, data["margins"], "margins")
+    section = validate(MarginSection, data["margins"], "margins")
     chosen = [n for n in constraints if n != "settling"] if section.constraints is None else section.constraints
     for name in chosen:
         if name not in constraints:

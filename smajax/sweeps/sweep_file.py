@@ -71,23 +71,52 @@ _MAX_DESIGNS = 100_000_000
 _MIN_BASE = 64
 
 
-class _Sweep(BaseModel):
+class SweepSection(BaseModel):
+    """The section ``[sweep]``."""
+
     model_config = STRICT
-    rig: str = Field(examples=['"rig.toml"'])
-    sampling: Annotated[str, one_of(SAMPLINGS)] = "sobol"
-    designs: int = Field(1024, ge=1, le=_MAX_DESIGNS, examples=["1024"])
-    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"])
-    chunk: int = Field(DEFAULT_CHUNK, ge=1, le=1_000_000, examples=["1024"])
-    metrics: list[str] | None = Field(None, examples=['["stroke", "efficiency"]'])
-    gradients: bool = Field(False, examples=["true"])
-    sensitivity: bool | None = Field(None, examples=["false"])
-    limits: str | None = Field(None, examples=['"none"'])
-    life: float = Field(DEFAULT_LIFE, gt=0.0, examples=["1_000_000"])
+    rig: str = Field(examples=['"rig.toml"'], description="rig or actuator file, relative to the sweep file")
+    sampling: Annotated[str, one_of(SAMPLINGS)] = Field("sobol", description="how designs are drawn")
+    designs: int = Field(
+        1024,
+        ge=1,
+        le=_MAX_DESIGNS,
+        examples=["1024"],
+        description="number of designs; a grid has the product of its points",
+    )
+    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"], description="seed of all random numbers")
+    chunk: int = Field(
+        DEFAULT_CHUNK, ge=1, le=1_000_000, examples=["1024"], description="designs that are simulated at once"
+    )
+    metrics: list[str] | None = Field(
+        None, examples=['["stroke", "efficiency"]'], description="metrics of the table; by default all"
+    )
+    gradients: bool = Field(
+        False, examples=["true"], description="whether the table has the derivatives of the metrics"
+    )
+    sensitivity: bool | None = Field(
+        None,
+        examples=["false"],
+        description="whether Sobol indices are estimated; by default where the designs suffice",
+    )
+    limits: str | None = Field(
+        None, examples=['"none"'], description="parameter set whose limits of the material hold, or none"
+    )
+    life: float = Field(
+        DEFAULT_LIFE,
+        gt=0.0,
+        examples=["1_000_000"],
+        description="number of cycles that the wire is to last, for the limit of the stress",
+    )
 
 
-class _Refine(BaseModel):
+class RefineSection(BaseModel):
+    """The section ``[refine]``."""
+
     model_config = STRICT
-    starts: int = Field(3, ge=1, le=1000, examples=["3"])
+    starts: int = Field(
+        3, ge=1, le=1000, examples=["3"], description="best designs that are refined along the gradients of the metrics"
+    )
 
 
 @dataclass(frozen=True)
@@ -262,7 +291,7 @@ def from_header(header: Mapping[str, Any]) -> SweepFile:
     return _read_sweep(data, header["name"], header["sweep"], subject, _rebuild_external(header))
 
 
-def _read_head(data: Mapping[str, Any]) -> _Sweep:
+def _read_head(data: Mapping[str, Any]) -> SweepSection:
     for key, value in data.items():
         if key not in _SECTIONS:
             what = f"[{key}] is not a section of a sweep" if isinstance(value, dict) else f"{key} is not known"
@@ -270,7 +299,7 @@ def _read_head(data: Mapping[str, Any]) -> _Sweep:
     check_schema(data)
     if "sweep" not in data:
         raise InputError('the section [sweep] is missing: add [sweep] with a line like rig = "rig.toml"')
-    return validate(_Sweep, data["sweep"], "sweep")
+    return validate(SweepSection, data["sweep"], "sweep")
 
 
 def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject, external: ExternalData) -> SweepFile:
@@ -308,14 +337,14 @@ def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject,
         objectives=objectives,
         constraints=constraints,
         constraint_units=constraint_units(data, constraints),
-        refine_starts=validate(_Refine, data["refine"], "refine").starts if "refine" in data else 0,
+        refine_starts=validate(RefineSection, data["refine"], "refine").starts if "refine" in data else 0,
         external=external,
         limits=limits,
         margins=margins,
     )
 
 
-def _count_designs(data: Mapping[str, Any], head: _Sweep, axes: tuple[Axis, ...]) -> int:
+def _count_designs(data: Mapping[str, Any], head: SweepSection, axes: tuple[Axis, ...]) -> int:
     if head.sampling == "grid" and "designs" in data["sweep"]:
         raise InputError(
             "sweep.designs has no place with a grid, whose number of designs follows from the points of its axes: "
@@ -327,7 +356,7 @@ def _count_designs(data: Mapping[str, Any], head: _Sweep, axes: tuple[Axis, ...]
     return count
 
 
-def _read_sensitivity(head: _Sweep, axes: tuple[Axis, ...], count: int) -> bool:
+def _read_sensitivity(head: SweepSection, axes: tuple[Axis, ...], count: int) -> bool:
     """Whether Sobol indices are estimated: by default where designs are drawn at random from ranges."""
     random_ranges = head.sampling != "grid" and not any(axis.values for axis in axes)
     if head.sensitivity and not random_ranges:

@@ -1,4 +1,4 @@
-"""The commands demo, init, check, effects, sets, report and datasets."""
+"""The commands demo, init, check, effects, explain, sets, report and datasets."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -113,6 +113,17 @@ def effects(
     from smajax.app.commands.catalogues import effects_text
 
     typer.echo(effects_text(key))
+
+
+def explain(
+    topic: Annotated[
+        list[str] | None, typer.Argument(metavar="[TOPIC]", help="A word of a message or the key of an effect.")
+    ] = None,
+) -> None:
+    """Explain a word of a message, such as at-bound or equivalent, or an effect, such as backlash; or list them."""
+    from smajax.app.commands.explain import explain_text
+
+    typer.echo(explain_text(" ".join(topic) if topic else None))
 
 
 def sets(

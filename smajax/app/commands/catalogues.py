@@ -40,7 +40,7 @@ def effects_text(key: str | None = None) -> str:
         raise InputError(
             f"there is no effect '{key}'{suggestion(key, effects)}: 'smajax effects' lists those that there are"
         )
-    return "\n".join(line.rstrip() for line in _effect_lines(key, effects[key]))
+    return "\n".join(line.rstrip() for line in effect_lines(key, effects[key]))
 
 
 def sets_text(name: str | None = None) -> str:
@@ -71,8 +71,13 @@ def sets_text(name: str | None = None) -> str:
     return "\n".join(line.rstrip() for line in [*lines, "", f'In a rig file: [rig] parameters = "{use}"'])
 
 
-def _effect_lines(key: str, effect: type[AbstractEffect]) -> list[str]:
-    """Text about one effect: what it is, its parameters, where it applies, and how a rig file names it."""
+def effect_lines(key: str, effect: type[AbstractEffect]) -> list[str]:
+    """Return the text about one effect: what it is, its parameters, where it applies, and how a rig file names it.
+
+    Args:
+        key: Key of the effect.
+        effect: Its class.
+    """
     unit = _strength_unit(effect)
     lines = [*wrap(f"{key}: {_first_paragraph(effect)}", _WIDTH), ""]
     rows = [
@@ -88,9 +93,23 @@ def _effect_lines(key: str, effect: type[AbstractEffect]) -> list[str]:
     lines += ["", f"Stage: {effect.stage}", f"Source of the typical strength: {effect.source or 'none given'}"]
     if effect.needs:
         lines.append(f"Needs: {', '.join(effect.needs)}")
-    if effect.confused_with:
-        lines.append(f"Explains similar residuals as: {', '.join(effect.confused_with)}")
+    if effect.excluded_by:
+        lines.append(f"Not where a rig has: {', '.join(effect.excluded_by)}")
+    if similar := similar_effects(key):
+        lines.append(f"Explains similar residuals as: {', '.join(similar)}")
+    if effect.remedy:
+        lines += wrap(f"On the bench: {effect.remedy}", _WIDTH)
     return [*lines, f'In a rig file: [effects.{key}] and below it strength = "{as_text(effect.typical, unit)}"']
+
+
+def similar_effects(key: str) -> list[str]:
+    """Return the keys of the effects that explain similar residuals; the relation holds both ways.
+
+    Args:
+        key: Key of the effect.
+    """
+    effects = catalogue()
+    return sorted(k for k in effects if k in effects[key].confused_with or key in effects[k].confused_with)
 
 
 def _strength_unit(effect: type[AbstractEffect]) -> str:

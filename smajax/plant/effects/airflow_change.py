@@ -19,6 +19,10 @@ class AirflowChange(HeatEffect):
     key = "airflow-change"
     typical: ClassVar[float] = 0.3
     source = "estimate: a fan or an open door changes h by 0.2 to 5 times"
+    remedy = (
+        "Close doors, switch fans off or keep them on throughout, and put the wire behind a screen; a recorded "
+        "fan is the effect fan-cooling."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
     shapes: ClassVar[Shapes] = (("instant", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),)
 

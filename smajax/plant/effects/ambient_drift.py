@@ -16,6 +16,10 @@ class AmbientDrift(HeatEffect):
     key = "ambient-drift"
     typical: ClassVar[float] = 0.03
     source = "estimate: 1 to 5 K during a recording"
+    remedy = (
+        "Wait until enclosure and driver are warm, or record the ambient temperature next to the wire as a column "
+        "ambient."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("end-conduction", "airflow-change")
 
     def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

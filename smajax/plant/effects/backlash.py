@@ -32,6 +32,10 @@ class Backlash(MechanismEffect):
     obstacle_to_rates = "play"
     typical: ClassVar[float] = 1e-4
     source = "estimate: 0.05 to 0.3 mm"
+    remedy = (
+        "Preload the transmission with a spring or a weight so that it is always in contact, or measure at the "
+        "wire itself."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("coulomb-friction",)
     excluded_by: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)  # its sensor is at the specimen
     shapes: ClassVar[Shapes] = (("begin", (-0.9, 0.0, 0.9)),)

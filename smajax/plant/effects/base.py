@@ -51,6 +51,7 @@ class AbstractEffect(CheckedModule):
         stage: Stage of the plant on which it acts; the base class has it.
         typical: A usual strength, not 0. Obligatory.
         source: Origin of the usual strength; for readers only.
+        remedy: What to do about the effect on the bench, or how to determine it; for readers only.
         confused_with: Keys of known effects that explain similar residuals; that one of two effects names the other is
             enough.
         needs: Capabilities without which a rig cannot have or show the effect, such as ``("two wires",)``: words of
@@ -75,6 +76,7 @@ class AbstractEffect(CheckedModule):
     stage: ClassVar[str]
     typical: ClassVar[float]
     source: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
     confused_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     excluded_by: ClassVar[tuple[str, ...]] = ()

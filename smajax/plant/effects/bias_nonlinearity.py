@@ -16,6 +16,10 @@ class BiasNonlinearity(MechanismEffect):
     key = "bias-nonlinearity"
     typical: ClassVar[float] = 1e6
     source = "estimate: 0 to 10 % at full stroke"
+    remedy = (
+        "Measure force over length of the spring by hanging weights on it, and use a spring that stays within its "
+        "linear range."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("load-change",)
     needs: ClassVar[tuple[str, ...]] = ("drag", "spring")
     has_drag = True

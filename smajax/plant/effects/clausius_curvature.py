@@ -28,6 +28,10 @@ class ClausiusCurvature(MaterialEffect):
         "isobaric cycles of NiTiHf at 50 to 400 MPa, whose lines bend on heating and on cooling "
         "(experiments/measured/isobaric.py)"
     )
+    remedy = (
+        "Record cycles under at least three loads that cover the stresses of use; two loads determine a straight "
+        "line only."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("stress-dependent-strain", "gradual-transformation")
     # On other rigs the stress varies with the transformation only.
     needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)

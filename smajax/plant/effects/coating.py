@@ -16,5 +16,6 @@ class Coating(ThermalNode):
     key = "coating"
     typical: ClassVar[float] = 0.5
     source = "estimate: time constants 0.5 to 10 s, capacities 0.3 to 3 of the wire's"
+    remedy = "Measure a bare wire for comparison, or keep the coating and the effect: it is part of the actuator."
     confused_with: ClassVar[tuple[str, ...]] = ("latent-heat", "end-conduction", "heat-capacity")
     shapes: ClassVar[Shapes] = (("time_constant", (1.0, 5.0)),)

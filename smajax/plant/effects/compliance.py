@@ -16,6 +16,10 @@ class Compliance(MechanismEffect):
     key = "compliance"
     typical: ClassVar[float] = 1e-4
     source = "estimate: 5 to 50 N/mm"
+    remedy = (
+        "Stiffen frame, clamps and tendon, or measure the displacement between two points of the wire; hang two "
+        "known weights on the cold wire to measure it."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("load-change",)
     other_channels: ClassVar[tuple[str, ...]] = ("force",)
     needs: ClassVar[tuple[str, ...]] = ("displacement",)

@@ -20,6 +20,7 @@ class ConvectionDiameter(HeatEffect):
     key = "convection-diameter"
     typical: ClassVar[float] = 0.6
     source = "Churchill and Chu's correlation: h = 147, 71, 43 W/m^2/K at diameters of 0.1, 0.25, 0.5 mm"
+    remedy = "Measure wires of several diameters in the same air; with a single diameter it is a factor of h."
     confused_with: ClassVar[tuple[str, ...]] = ()
 
     def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

@@ -19,6 +19,7 @@ class ConvectionTemperature(HeatEffect):
     key = "convection-temperature"
     typical: ClassVar[float] = 0.11
     source = "Churchill and Chu's correlation for thin wires: 0.10 to 0.12 per 50 K"
+    remedy = "Record inputs at several levels, so that the wire is at several temperatures, or measure its temperature."
     confused_with: ClassVar[tuple[str, ...]] = ("radiation", "current-limit")
 
     def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

@@ -25,6 +25,10 @@ class CoulombFriction(MechanismEffect):
     obstacle_to_rates = "dry friction"
     typical: ClassVar[float] = 2e7
     source = "capstan equation: 8 to 21 % of the load over a quarter turn at a coefficient of 0.05 to 0.15"
+    remedy = (
+        "Reverse the motion at several loads: friction opposes both directions. Replace guides by bearings, "
+        "straighten the sheath, reduce the angle of wrap."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("backlash",)
     needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True

@@ -22,6 +22,10 @@ class Creep(MaterialEffect):
     key = "creep"
     typical: ClassVar[float] = 0.002
     source = "estimate: 0.1 to 1 % of strain within minutes"
+    remedy = (
+        "Hold the input for minutes and record on; a strain that goes on at constant temperature is creep. Train "
+        "a new wire by some tens of cycles first."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting", "end-conduction")
     needs: ClassVar[tuple[str, ...]] = ("clock",)
     shapes: ClassVar[Shapes] = (("time_constant", (5.0, 30.0)),)

@@ -30,6 +30,10 @@ class CurrentLimit(DriveEffect):
     key = "current-limit"
     typical: ClassVar[float] = 0.05
     source = "estimate: current sources lose 1 to 10 % near their limit"
+    remedy = (
+        "Record the current that flows, by a shunt or a current sensor, in place of the one that is commanded; "
+        "raise the limit or the supply voltage."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature", "radiation")
     shapes: ClassVar[Shapes] = (("sharpness", (2.0, 12.0)), ("by_voltage", (0.5,)))
     needs: ClassVar[tuple[str, ...]] = ("current",)

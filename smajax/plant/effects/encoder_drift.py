@@ -16,6 +16,10 @@ class EncoderDrift(SensorEffect):
     key = "encoder-drift"
     typical: ClassVar[float] = 2e-6
     source = "estimate: a displacement or angle that drifts with time"
+    remedy = (
+        "Record for minutes without heating: the drift of a sensor goes on, the wire rests. Let the sensor warm "
+        "up, and zero it before each recording."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
     needs: ClassVar[tuple[str, ...]] = ("clock",)
 

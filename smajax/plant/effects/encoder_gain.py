@@ -16,6 +16,7 @@ class EncoderGain(SensorEffect):
     key = "encoder-gain"
     typical: ClassVar[float] = 0.01
     source = "estimate: 0.1 to 2 %"
+    remedy = "Calibrate the sensor with gauge blocks or a micrometer over the whole range."
     # A gain differs from other effects only through nominal values that are not measured, such as the wire's length;
     # chosen by trial.
     absorbed_from: ClassVar[float] = 0.99

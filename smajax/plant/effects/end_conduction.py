@@ -19,6 +19,10 @@ class EndConduction(ThermalNode):
     key = "end-conduction"
     typical: ClassVar[float] = 0.08
     source = "fin length sqrt(k d / 4 h): 4 mm at each end of a wire of 0.25 mm diameter"
+    remedy = (
+        "Use a longer wire, thin leads or insulating clamps; where that is not possible, give the wire cells "
+        "(cells under [wire])."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift", "coating")
     shapes: ClassVar[Shapes] = (("time_constant", (15.0, 60.0)),)
     steady_share: ClassVar[float] = 0.5

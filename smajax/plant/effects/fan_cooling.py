@@ -22,6 +22,7 @@ class FanCooling(HeatEffect):
     key = "fan-cooling"
     typical: ClassVar[float] = 2.0
     source = "King's law for n; estimate: a small fan raises h of a thin wire 2 to 5 times"
+    remedy = "Record the duty or the speed of the fan as a column fan, at several levels."
     confused_with: ClassVar[tuple[str, ...]] = ("airflow-change",)
     needs: ClassVar[tuple[str, ...]] = ("fan observed",)
     surroundings: ClassVar[tuple[str, ...]] = ("fan",)

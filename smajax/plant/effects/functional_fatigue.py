@@ -16,6 +16,10 @@ class FunctionalFatigue(MaterialEffect):
     key = "functional-fatigue"
     typical: ClassVar[float] = 0.005
     source = "estimate: 0.1 to 1 % in 100 cycles of a trained wire, much more in the first cycles"
+    remedy = (
+        "Train the wire until its stroke is steady, and keep stress, strain and temperature below the limits of "
+        "the maker."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
 
     def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

@@ -28,6 +28,10 @@ class GradualTransformation(MaterialEffect):
     key = "gradual-transformation"
     typical: ClassVar[float] = 0.3
     source = "isobaric cycles of actuator wire, rounded at all four corners (experiments/measured/isobaric.py)"
+    remedy = (
+        "It is a property of the wire; partial loops determine it. Give the material grains (grains under "
+        "[material]) where loops inside the main one matter."
+    )
     confused_with: ClassVar[tuple[str, ...]] = (
         "temperature-distribution",
         "minor-loop-shape",

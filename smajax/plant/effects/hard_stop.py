@@ -36,6 +36,7 @@ class HardStop(MechanismEffect):
     typical: ClassVar[float] = 0.97
     all_or_nothing = True
     source = "estimate: a stop of metal is 30 times as stiff as a wire that transforms, and more"
+    remedy = "Look for what the mechanism touches at the end of its way, and move the stop or keep the input below it."
     confused_with: ClassVar[tuple[str, ...]] = ("slack", "backlash")
     needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True

@@ -16,6 +16,7 @@ class HeatCapacity(HeatEffect):
     key = "heat-capacity"
     typical: ClassVar[float] = 0.1
     source = "estimate: reported capacities differ by 0 to 15 % between the phases"
+    remedy = "Nothing to mend: a property of the alloy. Calorimetry (DSC) of a piece of wire measures it."
     confused_with: ClassVar[tuple[str, ...]] = ("latent-heat",)
 
     def capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:

@@ -23,6 +23,7 @@ class HeatingRoundness(MaterialEffect):
     key = "heating-roundness"
     typical: ClassVar[float] = 0.3
     source = "lagoudas2012: exponents of 0 to 1 of smooth hardening, those of heating apart from those of cooling"
+    remedy = "Nothing to mend: a property of the alloy. Slow full cycles at a constant load determine it."
     confused_with: ClassVar[tuple[str, ...]] = ("minor-loop-shape", "gradual-transformation")
     # A free motion hardly identifies it next to the other shapes of the transformation.
     needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)

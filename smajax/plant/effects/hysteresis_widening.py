@@ -26,6 +26,7 @@ class HysteresisWidening(MaterialEffect):
     key = "hysteresis-widening"
     typical: ClassVar[float] = 1.0
     source = "lagoudas2012: critical work Y + D sigma H(sigma) of the transformation"
+    remedy = "Record cycles under at least three loads, slowly enough for the wire to have one temperature."
     confused_with: ClassVar[tuple[str, ...]] = ("clausius-curvature", "clausius-asymmetry")
     # On other rigs the stress varies with the transformation only.
     needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)

@@ -32,6 +32,10 @@ class InfraredSpot(SensorEffect):
         "law of Stefan and Boltzmann; estimate. Public recordings "
         "guarneros-sma-force: the thermometer reads 57 degC at most on a wire that has transformed"
     )
+    remedy = (
+        "Use a thermometer whose spot is smaller than the wire, or a fine thermocouple; put a cold, matt "
+        "background behind the wire."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("thermocouple-attachment", "thermocouple-embedding", "coating")
     # A cold background is nearly a gain, as ``thermocouple-attachment``; the same share.
     absorbed_from: ClassVar[float] = 0.99

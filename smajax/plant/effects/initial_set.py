@@ -22,6 +22,7 @@ class InitialSet(MaterialEffect):
         "a soft arm (public recordings bu-softlimb): its rest shape moves by 1 to 3 of 15 deg with the first pulse "
         "and not again"
     )
+    remedy = "Run a few full cycles before the recording, and start each recording from the same state."
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting", "creep")
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:

@@ -19,6 +19,10 @@ class LatentHeat(HeatEffect):
     key = "latent-heat"
     typical: ClassVar[float] = 1.5e8
     source = "Flexinol data sheet: 5.78 cal/g at 6450 kg/m^3"
+    remedy = (
+        "Nothing to mend: a property of the alloy, which every heat balance of a transforming wire needs. Take it "
+        "from the data sheet or from calorimetry (DSC)."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("coating", "heat-capacity")
 
     def enthalpy(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:

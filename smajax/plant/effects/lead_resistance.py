@@ -18,6 +18,10 @@ class LeadResistance(DriveEffect):
     key = "lead-resistance"
     typical: ClassVar[float] = 0.2
     source = "estimate: 0.05 to 0.5 ohm"
+    remedy = (
+        "Measure the voltage at the wire with leads of its own (four-wire measurement), or measure the resistance "
+        "of the leads."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature",)
     needs: ClassVar[tuple[str, ...]] = ("voltage observed",)
 

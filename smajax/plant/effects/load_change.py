@@ -21,6 +21,9 @@ class LoadChange(MechanismEffect):
     key = "load-change"
     typical: ClassVar[float] = 3e7
     source = "estimate: the lever arm of a weight changes with the position"
+    remedy = (
+        "Measure the force, or compute the lever arm over the angle; hang the weight so that its lever arm is constant."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("bias-nonlinearity",)
     needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True

@@ -70,6 +70,7 @@ class MinorLoopShape(MaterialEffect):
     key = "minor-loop-shape"
     typical: ClassVar[float] = 0.3
     source = "estimate: exponents of 0 to 1"
+    remedy = "Record partial loops: reverse the input at several strokes within the main loop."
     confused_with: ClassVar[tuple[str, ...]] = ("temperature-distribution",)
 
     @skip_at_zero

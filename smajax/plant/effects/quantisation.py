@@ -16,4 +16,5 @@ class Quantisation(SensorEffect):
     obstacle_to_rates = "rounded readings"
     typical: ClassVar[float] = 1.0
     source = "the variance of rounding, step squared over 12"
+    remedy = "Use a converter of finer steps or a smaller range; the step belongs to the noise (fit.noise)."
     no_mean_effect = "rounding scatters and does not shift the mean: its variance is counted in the noise"

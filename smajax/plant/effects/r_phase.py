@@ -34,6 +34,10 @@ class RPhase(MaterialEffect):
     key = "r-phase"
     typical: ClassVar[float] = 0.006
     source = "estimate: 0.5 to 1 % of strain, 10 to 20 % of resistance"
+    remedy = (
+        "Record the resistance, and cool slowly from above: a hump before the martensite forms is the R-phase. "
+        "Calorimetry (DSC) shows it as a peak of its own."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature", "slack")
     shapes: ClassVar[Shapes] = (("above", (8.0, -10.0, 25.0)), ("width", (10.0,)), ("kept", (0.5,)), ("hump", (0.1,)))
 

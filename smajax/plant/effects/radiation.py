@@ -21,6 +21,10 @@ class Radiation(HeatEffect):
     key = "radiation"
     typical: ClassVar[float] = 0.5
     source = "estimate: emissivity of oxidised NiTi 0.2 to 0.8, which is 2 to 9 % of h in still air"
+    remedy = (
+        "Nothing to mend in air; below a few hundred degrees it is a small part of the heat loss. Several levels "
+        "of the input distinguish it from convection."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature",)
 
     def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

@@ -23,6 +23,7 @@ class Ratcheting(MaterialEffect):
     key = "ratcheting"
     typical: ClassVar[float] = 2e-4
     source = "estimate: 1e-5 to 1e-4 per cycle of a young wire, more at high stress"
+    remedy = "Train the wire until its position after each cycle is steady, and reduce stress and peak temperature."
     confused_with: ClassVar[tuple[str, ...]] = ("encoder-drift", "creep")
 
     def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:

@@ -18,6 +18,7 @@ class ResistivityStrain(MaterialEffect):
     key = "resistivity-strain"
     typical: ClassVar[float] = 1.0
     source = "estimate: 4 % of strain raise the resistance by 8 %"
+    remedy = "Record the resistance under several loads at the same temperature."
     confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature",)
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:

@@ -16,6 +16,7 @@ class ResistivityTemperature(MaterialEffect):
     key = "resistivity-temperature"
     typical: ClassVar[float] = 7e-4
     source = "estimate: 5e-4 to 1e-3 per kelvin"
+    remedy = "Record the resistance of the fully austenitic wire at several temperatures."
     confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature", "current-limit", "lead-resistance")
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:

@@ -17,6 +17,10 @@ class SensorLag(SensorEffect):
     key = "sensor-lag"
     typical: ClassVar[float] = 0.03
     source = "estimate: 10 to 100 ms"
+    remedy = (
+        "Turn off the filter of the sensor or raise its bandwidth; move the sensor by hand in a step to measure "
+        "its time constant."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("time-skew", "viscous-friction")
     needs: ClassVar[tuple[str, ...]] = ("clock",)
 

@@ -19,6 +19,7 @@ class Slack(MechanismEffect):
     key = "slack"
     typical: ClassVar[float] = 2e-4
     source = "estimate: 0.1 to 0.5 mm"
+    remedy = "Tighten the tendon, or add a preload that keeps it taut when the wire is cold."
     confused_with: ClassVar[tuple[str, ...]] = ("backlash", "r-phase")
     needs: ClassVar[tuple[str, ...]] = ("displacement",)
     shapes: ClassVar[Shapes] = (("span", (2e-4, 1e-3, 3e-3)),)

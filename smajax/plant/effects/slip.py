@@ -28,6 +28,7 @@ class Slip(MaterialEffect):
     obstacle_to_rates = "a memory of the highest stress"
     typical: ClassVar[float] = 0.005
     source = "NiTi yields by slip at 0.8 to 1.2 GPa; exponents of 5 to 12 are usual for metals (Ramberg, Osgood 1943)"
+    remedy = "Keep the stress below the limit of the maker; a wire that has yielded has to be replaced."
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
     shapes: ClassVar[Shapes] = (("exponent", (8.0,)),)
 

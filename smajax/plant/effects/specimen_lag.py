@@ -23,6 +23,7 @@ class SpecimenLag(HeatEffect):
     key = "specimen-lag"
     typical: ClassVar[float] = 1.0
     source = "estimate: a time constant of 5 to 20 s at 5 to 10 K/min"
+    remedy = "Heat and cool more slowly, or put the thermometer on the specimen: the lag falls with the rate."
     confused_with: ClassVar[tuple[str, ...]] = ("hysteresis-widening",)
     needs: ClassVar[tuple[str, ...]] = ("prescribed temperature",)
     shapes: ClassVar[Shapes] = (("width", (1.0, 4.0, 16.0)),)

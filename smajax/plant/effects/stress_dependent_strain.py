@@ -23,6 +23,7 @@ class StressDependentStrain(MaterialEffect):
     key = "stress-dependent-strain"
     typical: ClassVar[float] = 1.0
     source = "estimate: saturation within 30 to 100 MPa, more in NiTiHf (experiments/measured/isobaric.py)"
+    remedy = "Record cycles under at least three loads, one of them small: the stroke then grows less than the load."
     confused_with: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[Shapes] = (("saturation", (50e6, 200e6)),)
 

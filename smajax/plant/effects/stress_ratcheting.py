@@ -21,6 +21,7 @@ class StressRatcheting(MaterialEffect):
     key = "stress-ratcheting"
     typical: ClassVar[float] = 2e-4
     source = "lagoudas2004: plastic strain of the transformation grows with the stress"
+    remedy = "Train the wire under the largest stress of use until its position after each cycle is steady."
     confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
     # At one load it is ratcheting.
     needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)

@@ -18,6 +18,7 @@ class TemperatureDistribution(MaterialEffect):
     key = "temperature-distribution"
     typical: ClassVar[float] = 0.08
     source = "two fin lengths of 4 mm on a wire of 100 mm"
+    remedy = "Use a longer wire, or give the wire cells (cells under [wire]); an infrared camera shows the cold ends."
     confused_with: ClassVar[tuple[str, ...]] = ("minor-loop-shape", "end-conduction")
 
     def initial_memory(self, state: WireState, context: StageContext) -> Fractions:

@@ -16,6 +16,7 @@ class ThermocoupleAttachment(SensorEffect):
     key = "thermocouple-attachment"
     typical: ClassVar[float] = 0.2
     source = "estimate: 0.2 for a 75 um thermocouple on a 0.25 mm wire"
+    remedy = "Use a finer thermocouple, and thermal paste between it and the wire."
     # A gain differs from other effects only through nominal values that are not measured; chosen by trial.
     absorbed_from: ClassVar[float] = 0.99
     needs: ClassVar[tuple[str, ...]] = ("temperature observed",)

@@ -24,6 +24,7 @@ class ThermocoupleEmbedding(SensorEffect):
         "a soft arm with embedded wires (public recordings bu-softlimb): its bending peaks 2 to 5 s before its "
         "thermocouples do"
     )
+    remedy = "Put the thermocouple on the wire itself, or keep the effect: it delays the reading, not the wire."
     confused_with: ClassVar[tuple[str, ...]] = ("thermocouple-lag", "coating")
     needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"

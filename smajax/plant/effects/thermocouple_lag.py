@@ -17,6 +17,7 @@ class ThermocoupleLag(SensorEffect):
     key = "thermocouple-lag"
     typical: ClassVar[float] = 0.3
     source = "estimate: 0.05 to 1 s"
+    remedy = "Use a finer thermocouple, and heat more slowly."
     confused_with: ClassVar[tuple[str, ...]] = ("time-skew",)
     needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"

@@ -16,6 +16,10 @@ class ThermocouplePickup(SensorEffect):
     key = "thermocouple-pickup"
     typical: ClassVar[float] = 1.0
     source = "Ma 2010: the reading jumps and changes sign with the current"
+    remedy = (
+        "Insulate the thermocouple electrically from the wire; switch the current off for a moment: the reading "
+        "must not jump."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("current-limit",)
     other_channels: ClassVar[tuple[str, ...]] = ("current",)
     needs: ClassVar[tuple[str, ...]] = ("temperature observed",)

@@ -19,6 +19,9 @@ class TimeSkew(SensorEffect):
     key = "time-skew"
     typical: ClassVar[float] = 0.03
     source = "estimate: 1 to 100 ms"
+    remedy = (
+        "Take all channels from one clock, with stamps at the sampling; a step of a known channel measures the delay."
+    )
     confused_with: ClassVar[tuple[str, ...]] = ("sensor-lag",)
     needs: ClassVar[tuple[str, ...]] = ("clock",)
 

@@ -16,6 +16,7 @@ class TransformationShift(MaterialEffect):
     key = "transformation-shift"
     typical: ClassVar[float] = 0.3
     source = "estimate: start temperatures shift with accumulated transformation"
+    remedy = "Train the wire until its cycles repeat, and give each recording the same history."
     confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:

@@ -18,6 +18,7 @@ class TwoSlopeElasticity(MaterialEffect):
     key = "two-slope-elasticity"
     typical: ClassVar[float] = 5e-12
     source = "estimate: moduli fall by a quarter where martensite reorients in part"
+    remedy = "Pull the cold wire and the hot wire in a testing machine, to the largest stress of use."
     confused_with: ClassVar[tuple[str, ...]] = ("stress-dependent-strain",)
     # On other rigs the stress varies with the transformation only.
     needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)

@@ -17,6 +17,7 @@ class ViscousFriction(MechanismEffect):
     key = "viscous-friction"
     typical: ClassVar[float] = 2e8
     source = "estimate: greased guides and sheaths"
+    remedy = "Move at several speeds under the same load; drain or warm the grease, or use dry bearings."
     confused_with: ClassVar[tuple[str, ...]] = ("sensor-lag",)
     needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True

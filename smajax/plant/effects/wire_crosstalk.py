@@ -16,6 +16,7 @@ class WireCrosstalk(HeatEffect):
     key = "wire-crosstalk"
     typical: ClassVar[float] = 0.05
     source = "estimate: 2 to 10 % of h at a pitch of 1 to 2 mm"
+    remedy = "Increase the distance between the wires, or put a screen between them."
     confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
     needs: ClassVar[tuple[str, ...]] = ("two wires",)
 

@@ -1,0 +1,57 @@
+"""Hook of MkDocs: generated pages and parts, links to files outside of docs, and formulas as MathML."""
+
+import html
+import posixpath
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from docs.generate import pages  # noqa: E402
+
+PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
+# End of a sentence before a literal block, which docstrings mark by two colons.
+LITERAL = re.compile(r"::(?=</p>)")
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are generated as a whole, and copies of files that pages link to."""
+    for name, text in pages.whole_pages().items():
+        files.append(File.generated(config, name, content=text))
+    for path in pages.LINKED_FILES:
+        files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Insert the generated parts, and let links point to pages of the site."""
+    source = page.file.src_uri
+    markdown = PART.sub(lambda match: pages.PARTS[match[1]](), markdown)
+    return LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
+
+
+def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
+    """Convert formulas to MathML."""
+    return LITERAL.sub(":", FORMULA.sub(_mathml, content))
+
+
+def _target(link: str, source: str) -> str:
+    """Return the link from a page to what stands for a file in the site."""
+    folder = posixpath.dirname(source)
+    path = posixpath.normpath(posixpath.join("docs", folder, link))
+    page = pages.PAGES_OF_FILES.get(path) or (f"files/{path}" if path in pages.LINKED_FILES else None)
+    return posixpath.relpath(page, folder or ".") if page else link
+
+
+def _mathml(match: re.Match[str]) -> str:
+    block = match[3] is not None
+    formula = html.unescape(match[3] if block else match[2])
+    return convert(formula.strip(), display="block" if block else "inline")

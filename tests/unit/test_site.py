@@ -1,0 +1,86 @@
+"""The generated parts of the documentation: complete, and with a meaning for each key."""
+
+import re
+
+import pytest
+from pydantic import BaseModel
+
+import smajax
+from docs.generate import api, bibliography, keys, pages
+from smajax.control.controller_file import schema as controller
+from smajax.files import channel_settings, rig_schema, rig_structure
+from smajax.plant.effects import catalogue
+from smajax.sweeps import axis_sections, goal_sections, input_section, margin_section, sweep_file
+from tests.conftest import ROOT
+
+MODULES = (
+    rig_schema,
+    rig_structure,
+    channel_settings,
+    controller,
+    sweep_file,
+    axis_sections,
+    goal_sections,
+    input_section,
+    margin_section,
+)
+SECTIONS = {
+    f"{module.__name__}.{name}": model
+    for module in MODULES
+    for name, model in vars(module).items()
+    if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__
+}
+MARKER = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+
+
+@pytest.mark.parametrize("model", SECTIONS.values(), ids=SECTIONS)
+def test_each_key_of_a_file_has_a_meaning(model):
+    assert not [name for name, field in model.model_fields.items() if not field.description]
+
+
+def test_each_generated_part_is_on_one_page():
+    texts = [path.read_text("utf-8") for path in (ROOT / "docs").rglob("*.md")]
+    assert sorted(name for text in texts for name in MARKER.findall(text)) == sorted(pages.PARTS)
+
+
+def test_each_public_name_is_on_one_page():
+    names = [name for _, _, listed in api.GROUPS.values() for name in listed.split()] + list(api.MODULES)
+    assert sorted(names) == sorted(set(smajax.__all__) - {"__version__"})
+
+
+def test_each_room_is_listed():
+    folders = {path.parent.name for path in (ROOT / "smajax").glob("*/__init__.py")}
+    assert sorted(api.ROOMS) == sorted(folders)
+
+
+def test_the_rig_page_has_sections_bounds_and_shipped_examples():
+    text = keys.rig_keys()
+    headings = re.findall(r"^## \[([\w.]+)\]", text, re.MULTILINE)
+    assert {"rig", "fit", "wire", "material", "heat", "load", "pulley", "sensor", "channels", "recording"} <= set(
+        headings
+    )
+    row = next(line for line in text.splitlines() if line.startswith("| `diameter` |"))
+    assert "0.001 mm to 20 mm; required" in row and '"0.15 mm"' in row
+    assert "glove-finger; required" in next(line for line in text.splitlines() if line.startswith("| `kind` |"))
+
+
+def test_the_catalogue_has_a_section_for_each_effect():
+    text = pages.PARTS["effects"]()
+    for key, effect in catalogue().items():
+        section = text.partition(f"\n## {key} ")[2].partition("\n## ")[0]
+        assert effect.remedy and effect.remedy in section
+        assert f"[effects.{key}]" in section and "`strength`" in section
+
+
+def test_each_entry_of_the_bibliography_is_plain_text():
+    text = (ROOT / "docs" / "references.bib").read_text("utf-8")
+    entries = bibliography.entries()
+    assert len(entries) == text.count("\n@") and all("title" in fields for fields in entries.values())
+    assert not re.search(r"[{}\\]", "".join(value for fields in entries.values() for value in fields.values()))
+    assert all(f"**{key}**" in bibliography.bibliography() for key in entries)
+
+
+def test_the_command_page_has_each_option():
+    text = pages.PARTS["commands"]()
+    assert "### smajax explain" in text and "`--holdout H.csv ...`" in text and "[options of reading]" in text
+    assert "`--on-bad-rows TEXT`" in pages.PARTS["reading-options"]()
