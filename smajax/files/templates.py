@@ -4,7 +4,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tomlkit
 from tomlkit.items import Table
@@ -16,18 +16,38 @@ from smajax.recordings.datasets import data_path
 _OF_RECORDING = ("control", "interpolation")
 
 
-def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
-    """Write a commented rig file, an example recording and its rig.
+# The recordings of an example: fitted, for the choice of effects, and predicted once.
+RECORDINGS = ("train.csv", "select.csv", "holdout.csv")
 
-    The files are rig.toml to fill in, the recording example.csv and its rig example.toml; for some kinds also
-    controller.toml for ``smajax tune`` and sweep.toml for ``smajax sweep``.
+
+class Example(NamedTuple):
+    """Files of ``smajax init``.
+
+    Attributes:
+        rig: The commented rig file, to fill in.
+        example: The rig of the recordings.
+        recordings: The recordings for training, selection and holdout.
+        others: A controller and a sweep, where the kind has them.
+    """
+
+    rig: Path
+    example: Path
+    recordings: tuple[Path, Path, Path]
+    others: list[Path]
+
+
+def write_example(kind: str, out: Path) -> Example:
+    """Write a commented rig file, and an example: a rig with three recordings of different inputs.
+
+    The files are rig.toml to fill in, the recordings train.csv, select.csv and holdout.csv, and their rig example.toml;
+    for some kinds also controller.toml for ``smajax tune`` and sweep.toml for ``smajax sweep``.
 
     Args:
         kind: Kind of the rig.
         out: Folder of the files; created if necessary.
 
     Returns:
-        The paths of rig.toml, example.toml and example.csv, and a list of the others.
+        The paths of the files.
 
     Raises:
         InputError: If one of the files exists (then none is written), or they cannot be written.
@@ -41,7 +61,7 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
     files = {
         out / "rig.toml": tomlkit.dumps(template).encode(),
         out / "example.toml": (example / "rig.toml").read_bytes(),
-        out / "example.csv": (example / "train.csv").read_bytes(),
+        **{out / name: (example / name).read_bytes() for name in RECORDINGS},
     }
     controller = data_path("controllers") / f"{example.name}.toml"
     if controller.is_file():
@@ -51,8 +71,8 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
         text = sweep.read_text("utf-8").replace(f"../recordings/{example.name}/rig.toml", "example.toml")
         files[out / "sweep.toml"] = text.encode()
     _write(files, out)
-    rig, example_rig, recording, *others = files
-    return rig, example_rig, recording, others
+    rig, example_rig, train, select, holdout, *others = files
+    return Example(rig, example_rig, (train, select, holdout), others)
 
 
 def template_note(rig: Path) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 from smajax.app import cli
@@ -506,7 +507,9 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     contents = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
     steered = kind in STEERED
     more = {"controller.toml", "sweep.toml"} if steered else set()
-    assert set(contents) == {"rig.toml", "example.toml", "example.csv"} | more
+    recordings = {"train.csv", "select.csv", "holdout.csv"}
+    assert set(contents) == {"rig.toml", "example.toml"} | recordings | more
+    assert len({contents[name] for name in recordings}) == 3
     if steered:
         assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
         read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
@@ -515,16 +518,42 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     note = "no latent heat of the transformation"
     assert (note in result.output) == (kind != "path")
     for rig in ("rig.toml", "example.toml"):
-        checked = smajax("check", tmp_path / "mine" / rig, tmp_path / "mine" / "example.csv")
+        checked = smajax("check", tmp_path / "mine" / rig, *(tmp_path / "mine" / name for name in sorted(recordings)))
         assert checked.exit_code == 0, checked.output
         assert kind in checked.stdout
         assert "free parameter" in checked.stdout
         assert (note in checked.stdout) == (kind != "path")
-    (tmp_path / "mine" / "example.csv").unlink()
+    (tmp_path / "mine" / "select.csv").unlink()
     assert "exists and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path / "mine"), 2)
     assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == {
-        k: v for k, v in contents.items() if k != "example.csv"
+        k: v for k, v in contents.items() if k != "select.csv"
     }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_commands_that_init_prints_name_files_that_it_wrote(kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    printed = smajax("init", kind, "--out", "mine").stdout
+    jobs: list[str] = []
+
+    def stop(*_: object, **__: object):  # what the commands do has tests of its own
+        jobs.append("started")
+        raise typer.Exit(1)
+
+    for module in ("models", "designs"):
+        monkeypatch.setattr(f"smajax.app.command_line.{module}.start_run", stop)
+    lines = re.findall(r"^(?:Next: |      )smajax (\S.*)$", printed, re.MULTILINE)
+    assert [line.split()[0] for line in lines][:3] == ["check", "fit", "diagnose"] and len(lines) in (3, 5)
+    for line in lines:
+        words = line.split()
+        files = [word for word in words[1:] if word.endswith((".toml", ".csv"))]
+        assert files and all((tmp_path / file).is_file() for file in files)
+        result = smajax(*words)
+        assert "Usage" not in result.output
+        assert result.exit_code == (0 if words[0] == "check" else 1), result.output
+    assert len(jobs) == len(lines) - 1
+    topic = re.search(r"smajax (explain \S+)$", printed.partition("Note:")[0].strip())
+    assert topic and smajax(*topic[1].split()).exit_code == 0
 
 
 def test_check_describes_the_fit(bench):
@@ -540,7 +569,7 @@ def test_check_reads_controllers_and_sweeps_and_lists_effects(tmp_path):
     rig, controller, sweep = (tmp_path / f"{name}.toml" for name in ("example", "controller", "sweep"))
     text = rig.read_text("utf-8").replace("[fit]", '[effects.latent-heat]\nstrength = "80 MJ/m^3"\n\n[fit]', 1)
     rig.write_text(text, "utf-8")
-    whole = smajax("check", rig, tmp_path / "example.csv", controller, sweep)
+    whole = smajax("check", rig, tmp_path / "train.csv", controller, sweep)
     assert whole.exit_code == 0, whole.output
     assert "Effects in the model: latent-heat (80 MJ/m^3)." in whole.stdout
     assert "Effects that it could have" in whole.stdout and "backlash" in whole.stdout

@@ -111,10 +111,10 @@ def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, 
         return result.stdout
 
     run("init", "dead-weight", "--out", "bench")
-    assert "example.csv: " in run("check", "bench/example.toml", "bench/example.csv")
+    assert "train.csv: " in run("check", "bench/example.toml", "bench/train.csv")
     code = (
         "import smajax as sma; print(sma.__file__)\n"
-        "study = sma.predict('bench/example.toml', 'bench/example.csv'); print(study.success); study.save('predicted')\n"
+        "study = sma.predict('bench/example.toml', 'bench/train.csv'); print(study.success); study.save('predicted')\n"
         "print(len(sma.load('predicted').plot().data) > 0)"
     )
     command = [sys.executable, "-c", code]

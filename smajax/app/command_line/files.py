@@ -64,7 +64,7 @@ def init(
         Path, typer.Option("--out", metavar="DIR", help="The folder for the files; made if it is not there.")
     ] = Path(),
 ) -> None:
-    """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
+    """Write a commented rig.toml, and an example with recordings to start from; no file is ever overwritten."""
     from smajax.files.templates import is_actuator_kind, template_note, write_actuator_example, write_example
 
     if is_actuator_kind(kind.value):
@@ -73,16 +73,20 @@ def init(
         typer.echo(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
         return
 
-    rig, example, recording, others = write_example(kind.value, out)
+    rig, example, (train, select, holdout), others = write_example(kind.value, out)
     typer.echo(
-        f"Wrote {rig}, to fill in with your own wire, and the example {recording} with its rig {example}.\n"
-        f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
+        f"Wrote {rig}, to fill in with your own wire, and an example: {example} with the recordings\n"
+        f"{train} (to fit), {select} (to choose effects) and {holdout} (to predict).\n"
+        f"Next: smajax check {rig} {train}\n"
+        f"      smajax fit {example} {train} --holdout {holdout} --out {out / 'result'}\n"
+        f"      smajax diagnose {example} {train} --select {select} --holdout {holdout} --out {out / 'found'}"
     )
     for path in others:
         if path.name == "controller.toml":
             typer.echo(f"      smajax tune {example} {path} --out {out / 'tuned'}")
         else:
             typer.echo(f"      smajax sweep {path} --out {out / 'swept'}")
+    typer.echo("Why three recordings: smajax explain three-recordings")
     if note := template_note(rig):
         typer.echo(f"Note: {note}.")
 
