@@ -1,14 +1,17 @@
 """The generated parts of the documentation: complete, and with a meaning for each key."""
 
 import re
+import tomllib
 
 import pytest
 from pydantic import BaseModel
 
 import smajax
 from docs.generate import api, bibliography, keys, pages
+from smajax.app.commands.explain import topics
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, rig_schema, rig_structure
+from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
 from smajax.sweeps import axis_sections, goal_sections, input_section, margin_section, sweep_file
 from tests.conftest import ROOT
@@ -84,3 +87,14 @@ def test_the_command_page_has_each_option():
     text = pages.PARTS["commands"]()
     assert "### smajax explain" in text and "`--holdout H.csv ...`" in text and "[options of reading]" in text
     assert "`--on-bad-rows TEXT`" in pages.PARTS["reading-options"]()
+
+
+@pytest.mark.parametrize("page", ["docs/first-questions.md", *(f"data/topics/{name}.md" for name in topics())])
+def test_the_sections_of_a_page_are_those_of_a_rig(page):
+    blocks = re.findall(r"^```toml\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    rig = tomllib.loads((ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").read_text("utf-8"))
+    for block in map(tomllib.loads, blocks):
+        effects = {**rig.get("effects", {}), **block.get("effects", {})}
+        rig = {**rig, **block, "effects": effects}
+    read = read_rig({name: content for name, content in rig.items() if content})
+    assert {effect.key for effect in read.plant.effects} == set(rig.get("effects", {}))
