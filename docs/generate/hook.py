@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,8 +19,17 @@ from docs.generate import pages  # noqa: E402
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
+# An address that a browser loads when the page opens; a link that a reader follows is none.
+LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
 # End of a sentence before a literal block, which docstrings mark by two colons.
 LITERAL = re.compile(r"::(?=</p>)")
+
+
+def on_post_build(config: Any) -> None:
+    """Refuse a site that loads anything from a network."""
+    for path in Path(config.site_dir).rglob("*.html"):
+        if loaded := LOADED.search(path.read_text("utf-8")):
+            raise PluginError(f"{path.name} loads {loaded[1]} from a network")
 
 
 def on_files(files: Any, config: Any) -> Any:

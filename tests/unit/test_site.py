@@ -98,3 +98,18 @@ def test_the_sections_of_a_page_are_those_of_a_rig(page):
         rig = {**rig, **block, "effects": effects}
     read = read_rig({name: content for name, content in rig.items() if content})
     assert {effect.key for effect in read.plant.effects} == set(rig.get("effects", {}))
+
+
+def test_formulas_become_mathml_and_pages_load_nothing():
+    pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
+    pytest.importorskip("mkdocs")
+    from docs.generate import hook
+
+    page = r'<p><span class="arithmatex">\(a &lt; b^2\)</span></p><div class="arithmatex">\[x\]</div>'
+    content = hook.on_page_content(page, None, None, None)
+    assert content.count("<math") == 2 and "arithmatex" not in content and "<msup>" in content
+    loading = '<script src="https://example.org/a.js">', '<link rel="stylesheet" href="https://example.org/a.css">'
+    assert all(hook.LOADED.search(text) for text in loading)
+    assert not hook.LOADED.search(
+        '<a href="https://example.org"><script src="../a.js"><link rel="canonical" href="https://a">'
+    )
