@@ -15,14 +15,21 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from docs.generate import pages  # noqa: E402
+from docs.generate.outputs import clean_up, output_of  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+OUTPUT = re.compile(r"^<!-- output of: (smajax .+) -->$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 # An address that a browser loads when the page opens; a link that a reader follows is none.
 LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
 # End of a sentence before a literal block, which docstrings mark by two colons.
 LITERAL = re.compile(r"::(?=</p>)")
+
+
+def on_shutdown() -> None:
+    """Remove what the commands of the pages have written."""
+    clean_up()
 
 
 def on_post_build(config: Any) -> None:
@@ -42,10 +49,11 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Insert the generated parts, and let links point to pages of the site."""
+    """Insert the generated parts and the output of commands, and let links point to pages of the site."""
     source = page.file.src_uri
     markdown = PART.sub(lambda match: pages.PARTS[match[1]](), markdown)
-    return LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
+    markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
+    return OUTPUT.sub(lambda match: output_of(match[1]), markdown)
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:

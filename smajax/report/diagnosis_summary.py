@@ -69,7 +69,7 @@ def text(doc: Document, folder: str = "") -> str:
     bench = bench_sentences(doc)
     lines = [*bench, *([""] if bench else []), f"Verdict: {doc['verdict']}", "", *sentences(doc)[len(bench) :], ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
-    lines += [*explained(diagnosis_topics(doc)), ""]
+    lines += [*explained(diagnosis_topics(doc))[not lines[-1] :], ""]
     place = f"; all results in {folder}" if folder else ""
     lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s{place}")
     return "\n".join(lines)

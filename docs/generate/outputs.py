@@ -1,0 +1,59 @@
+"""Output of commands, which is computed when the site is built: ``<!-- output of: smajax ... -->`` on a page.
+
+The commands of all pages run in one folder with the shipped data, in the order of the pages, so that a command finds
+what an earlier one wrote.
+"""
+
+import functools
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# Variables with which a command would open a browser, or find other data than those that ship.
+NOT_PASSED = ("DISPLAY", "WAYLAND_DISPLAY", "SMAJAX_DATA")
+
+
+class CommandError(RuntimeError):
+    """A command on a page failed."""
+
+
+@functools.cache
+def output_of(command: str) -> str:
+    """Return the output of a command as a block of text.
+
+    Args:
+        command: The command line, which begins with smajax.
+
+    Raises:
+        CommandError: If it fails.
+    """
+    program, *words = shlex.split(command)
+    if program != "smajax":
+        raise CommandError(f"'{command}' does not begin with smajax")
+    environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
+    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": "110"}
+    arguments = [sys.executable, "-m", "smajax", *words]
+    result = subprocess.run(arguments, cwd=_folder(), env=environment, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
+    return f"```text\n{result.stdout.strip()}\n```"
+
+
+@functools.cache
+def _folder() -> Path:
+    """A new folder with the shipped data."""
+    folder = Path(tempfile.mkdtemp(prefix="smajax-docs-"))
+    shutil.copytree(ROOT / "data", folder / "data")
+    return folder
+
+
+def clean_up() -> None:
+    """Remove the folder of the commands."""
+    if _folder.cache_info().currsize:
+        shutil.rmtree(_folder(), ignore_errors=True)
+        _folder.cache_clear()
