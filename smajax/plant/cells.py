@@ -42,7 +42,7 @@ class CellGeometry(eqx.Module):
         boundaries: Boundaries of the simulated cells, from the clamp at 0 to the middle of the wire, m. With an odd
             number of cells the last one is half of the middle cell.
         shares: Lengths of the cells over that of all of them.
-        conduction: Heat that conduction brings into each cell per kelvin of each cell (last axis), W/m^3/K.
+        inflow: Heat that conduction brings into each cell per kelvin of each cell (last axis), W/m^3/K.
         from_clamp: The same per kelvin of the clamp.
         uneven: Excess of the convection coefficient of each cell over h(T), as a share.
         grain_weights: Weights of the temperatures of all cells (last axis) in the temperature of each grain; ``None``
@@ -51,7 +51,7 @@ class CellGeometry(eqx.Module):
 
     boundaries: Float[Array, " ends"]
     shares: Float[Array, " cells"]
-    conduction: Float[Array, "cells cells"]
+    inflow: Float[Array, "cells cells"]
     from_clamp: Float[Array, " cells"]
     uneven: Float[Array, " cells"]
     grain_weights: Float[Array, "grains cells cells"] | None
@@ -100,11 +100,11 @@ class Cells(CheckedModule):
         # In an odd number of cells the middle one counts half.
         place = jnp.minimum(jnp.arange(self.simulated + 1) / (0.5 * self.count), 1.0)
         boundaries = half * jnp.sinh(place * jnp.arcsinh(ratio)) / ratio
-        conduction, from_clamp = self._conduction_matrix(boundaries)
+        inflow, from_clamp = self._conduction_matrix(boundaries)
         return CellGeometry(
             boundaries,
             jnp.diff(boundaries) / boundaries[-1],
-            conduction,
+            inflow,
             from_clamp,
             self.convection_factors(boundaries) - 1.0,
             None if grains is None else self._grain_weights(boundaries, grains),
@@ -143,7 +143,7 @@ class Cells(CheckedModule):
         """
         # The temperatures of clamp and cells times a matrix that is constant over a simulation: faster than differences
         # of neighbours, which a compiled loop computes entry by entry (experiments/speed/cells_and_grains.py).
-        inflow = jnp.sum(geometry.conduction[:, :, None] * temperature[None], axis=1)
+        inflow = jnp.sum(geometry.inflow[:, :, None] * temperature[None], axis=1)
         inflow = inflow + geometry.from_clamp[:, None] * clamp[None]
         uneven = geometry.uneven[:, None] * heat.conductance(temperature, wire)
         return inflow - uneven * (temperature - ambient)
