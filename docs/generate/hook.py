@@ -53,7 +53,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     source = page.file.src_uri
     markdown = PART.sub(lambda match: pages.PARTS[match[1]](), markdown)
     markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
-    return OUTPUT.sub(lambda match: output_of(match[1]), markdown)
+    return OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
@@ -72,4 +72,5 @@ def _target(link: str, source: str) -> str:
 def _mathml(match: re.Match[str]) -> str:
     block = match[3] is not None
     formula = html.unescape(match[3] if block else match[2])
-    return convert(formula.strip(), display="block" if block else "inline")
+    math = convert(formula.strip(), display="block" if block else "inline")
+    return f'<div class="formula">{math}</div>' if block else math

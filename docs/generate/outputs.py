@@ -1,7 +1,7 @@
 """Output of commands, which is computed when the site is built: ``<!-- output of: smajax ... -->`` on a page.
 
-The commands of all pages run in one folder with the shipped data, in the order of the pages, so that a command finds
-what an earlier one wrote.
+The commands of a page run in one folder with the shipped data, in their order, so that a command finds what an earlier
+one wrote.
 """
 
 import functools
@@ -23,11 +23,12 @@ class CommandError(RuntimeError):
 
 
 @functools.cache
-def output_of(command: str) -> str:
+def output_of(command: str, page: str) -> str:
     """Return the output of a command as a block of text.
 
     Args:
         command: The command line, which begins with smajax.
+        page: The page, which determines the folder.
 
     Raises:
         CommandError: If it fails.
@@ -38,22 +39,28 @@ def output_of(command: str) -> str:
     environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
     environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": "110"}
     arguments = [sys.executable, "-m", "smajax", *words]
-    result = subprocess.run(arguments, cwd=_folder(), env=environment, capture_output=True, text=True, check=False)
+    result = subprocess.run(arguments, cwd=_folder(page), env=environment, capture_output=True, text=True, check=False)
     if result.returncode:
         raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
     return f"```text\n{result.stdout.strip()}\n```"
 
 
 @functools.cache
-def _folder() -> Path:
+def _root() -> Path:
+    return Path(tempfile.mkdtemp(prefix="smajax-docs-"))
+
+
+@functools.cache
+def _folder(page: str) -> Path:
     """A new folder with the shipped data."""
-    folder = Path(tempfile.mkdtemp(prefix="smajax-docs-"))
+    folder = _root() / page.replace("/", "-")
     shutil.copytree(ROOT / "data", folder / "data")
     return folder
 
 
 def clean_up() -> None:
-    """Remove the folder of the commands."""
-    if _folder.cache_info().currsize:
-        shutil.rmtree(_folder(), ignore_errors=True)
-        _folder.cache_clear()
+    """Remove the folders of the commands."""
+    if _root.cache_info().currsize:
+        shutil.rmtree(_root(), ignore_errors=True)
+        for function in (_root, _folder):
+            function.cache_clear()

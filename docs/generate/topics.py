@@ -1,14 +1,21 @@
 """The texts of ``smajax explain`` on words of messages."""
 
 import posixpath
+from pathlib import Path
 
 from smajax.app.commands.explain import topics
+
+DOCS = Path(__file__).resolve().parents[1]
 
 
 def messages() -> str:
     """Return a section for each topic, with the page that has more."""
     return "\n".join(
         f"\n## {topic.title} {{ #{topic.name} }}\n\n`smajax explain {topic.name}`\n\n{topic.text}\n\n"
-        f"More: [{topic.page}]({posixpath.relpath(topic.page, 'reference')})\n"
+        f"More: [{_title(topic.page)}]({posixpath.relpath(topic.page, 'reference')})\n"
         for topic in topics().values()
     )
+
+
+def _title(page: str) -> str:
+    return (DOCS / page).read_text("utf-8").partition("\n")[0].removeprefix("# ")

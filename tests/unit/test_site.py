@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 import smajax
-from docs.generate import api, bibliography, keys, pages
+from docs.generate import api, bibliography, keys, outputs, pages
 from smajax.app.commands.explain import topics
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, rig_schema, rig_structure
@@ -113,3 +113,12 @@ def test_formulas_become_mathml_and_pages_load_nothing():
     assert not hook.LOADED.search(
         '<a href="https://example.org"><script src="../a.js"><link rel="canonical" href="https://a">'
     )
+
+
+def test_the_output_of_a_command_is_what_it_prints():
+    first = outputs.output_of("smajax init path --out bench", "a.md")
+    assert first.startswith("```text\nWrote bench") and "bench/holdout.csv" in first
+    assert "Fitted and scored: strain" in outputs.output_of("smajax check bench/example.toml bench/train.csv", "a.md")
+    with pytest.raises(outputs.CommandError, match="there is no such file"):
+        outputs.output_of("smajax check bench/example.toml bench/train.csv", "b.md")  # another page, another folder
+    outputs.clean_up()
