@@ -11,9 +11,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+# Width of a terminal in columns.
+WIDTH = 110
 # Variables with which a command would open a browser, or find other data than those that ship.
 NOT_PASSED = ("DISPLAY", "WAYLAND_DISPLAY", "SMAJAX_DATA")
 
@@ -37,12 +40,19 @@ def output_of(command: str, page: str) -> str:
     if program != "smajax":
         raise CommandError(f"'{command}' does not begin with smajax")
     environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
-    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": "110"}
+    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": str(WIDTH)}
     arguments = [sys.executable, "-m", "smajax", *words]
     result = subprocess.run(arguments, cwd=_folder(page), env=environment, capture_output=True, text=True, check=False)
     if result.returncode:
         raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
-    return f"```text\n{result.stdout.strip()}\n```"
+    lines = [part for line in result.stdout.strip("\n").rstrip().splitlines() for part in _wrapped(line)]
+    return "\n".join(["```text", *lines, "```"])
+
+
+def _wrapped(line: str) -> list[str]:
+    """The line of a table and a command as they are, one of prose in several, as a terminal shows it."""
+    is_prose = len(line) > WIDTH and "   " not in line.strip() and not line.lstrip().startswith("smajax ")
+    return textwrap.wrap(line, WIDTH) if is_prose else [line]
 
 
 @functools.cache
