@@ -5,10 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from smajax.control.analysis.cases import Case, rounded
 from smajax.control.analysis.closed_loop_checks import (
@@ -19,11 +17,10 @@ from smajax.control.analysis.closed_loop_checks import (
     rollout_metrics,
     violated_limits,
 )
+from smajax.control.analysis.members import rollout_members
 from smajax.control.analysis.step_response import StepResponse
-from smajax.control.loop.closed_loop import ClosedLoop
-from smajax.control.loop.gains import gain, gains, with_gains
-from smajax.control.loop.rollout import Rollout, Scenario, simulate_loop
-from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.control.loop.gains import gain, gains
+from smajax.control.loop.rollout import Rollout
 from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of cases in one call of the compiled program; chosen by trial for speed.
@@ -124,27 +121,10 @@ def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequen
     plants = {n: jnp.asarray([case.parameters[n] for case in batch], jnp.float64) for n in batch[0].parameters}
     noise = jnp.asarray(np.stack([case.noise for case in batch]))
     initial = jnp.asarray([case.initial for case in batch], jnp.float64)
-    return _simulate(task.system, task.loop, task.scenario, plants, noise, initial, values)
+    return _simulate(task.system, task.loop, task.scenario, plants, noise, values, initial)
 
 
-@jit_with_kernels
-def _simulate(
-    system: AbstractSampledSystem,
-    loop: ClosedLoop,
-    scenario: Scenario,
-    plants: dict[str, Float[Array, " cases"]],
-    noise: Float[Array, "cases samples"],
-    initial: Float[Array, " cases"],
-    values: dict[str, Float[Array, " cases"]],
-) -> Rollout:
-    """Rollouts of all cases, which differ in plants, noise, initial reference and gains."""
-
-    def simulate(plant: dict[str, jax.Array], draws: jax.Array, start: jax.Array, own: dict[str, jax.Array]) -> Rollout:
-        changed = system.with_parameters(plant) if plant else system
-        at = Scenario(scenario.reference, start, draws, scenario.changes, scenario.block)
-        return simulate_loop(changed, with_gains(loop, own), at)
-
-    return jax.vmap(simulate)(plants, noise, initial, values)
+_simulate = jit_with_kernels(rollout_members)
 
 
 def excess_of_limits(limits: Mapping[str, float], check: CaseCheck) -> dict[str, float]:

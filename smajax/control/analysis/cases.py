@@ -13,7 +13,7 @@ from smajax.control.loop.rollout import Scenario
 from smajax.errors import InputError
 
 # Number of draws of the noise. If none of 59 independent cases fails, at least 95 % of all pass, with a confidence of
-# 95 %: 0.95^59 < 0.05 (Wilks, 1941). 64 is the next multiple of the batch size.
+# 95 %: 0.95^59 < 0.05 (wilks1941). 64 is the next multiple of the batch size.
 NOISE_CASES = 64
 MIN_NOISE_CASES = 59
 # Range of the ambient temperature about that of the rig, K: that of a room over a day.

@@ -22,6 +22,7 @@ def rollout_members(
     members: dict[str, Float[Array, " members"]],
     noise: Float[Array, "members samples"],
     gains: dict[str, Float[Array, " members"]],
+    initial: Float[Array, " members"] | None = None,
 ) -> Rollout:
     """Simulate a loop around all members; the caller compiles it.
 
@@ -32,20 +33,25 @@ def rollout_members(
         members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
         noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
         gains: Gains by name, internal units, shape ``(m,)`` each.
+        initial: References before the first sample, shape ``(m,)``; by default that of the scenario.
 
     Returns:
         Rollouts whose leaves have a leading axis of ``m``.
     """
+    start = scenario.initial_reference if initial is None else initial
 
-    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
+    def simulate(
+        values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array], start: jax.Array
+    ) -> Rollout:
         plant = system.with_parameters(values) if values else system
-        return simulate_loop(plant, with_gains(loop, gains), dataclasses.replace(scenario, draws=draws))
+        own = dataclasses.replace(scenario, draws=draws, initial_reference=start)
+        return simulate_loop(plant, with_gains(loop, gains), own)
 
     # A single rollout is faster than a batch of one.
-    if not members and noise.shape[0] == 1:
-        single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()})
+    if not members and noise.shape[0] == 1 and initial is None:
+        single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()}, start)
         return jax.tree.map(lambda leaf: leaf[None], single)
-    return jax.vmap(simulate)(members, noise, gains)
+    return jax.vmap(simulate, in_axes=(0, 0, 0, None if initial is None else 0))(members, noise, gains, start)
 
 
 def simulate_members(
