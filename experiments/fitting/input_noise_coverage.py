@@ -35,7 +35,7 @@ LEVELS = (0.0, 0.003, 0.01, 0.03)
 CURRENT = 0.33
 # Least and largest share of the intervals that contain the truth.
 TARGET = (0.90, 0.98)
-# Repetitions with ripple, each of which needs a simulation of its own.
+# Repetitions with ripple, each of which needs another simulation.
 RIPPLE_SHARE = 0.1
 
 

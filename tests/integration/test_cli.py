@@ -536,7 +536,7 @@ def test_the_commands_that_init_prints_name_files_that_it_wrote(kind, tmp_path, 
     printed = smajax("init", kind, "--out", "mine").stdout
     jobs: list[str] = []
 
-    def stop(*_: object, **__: object):  # what the commands do has tests of its own
+    def stop(*_: object, **__: object):  # other tests run the commands
         jobs.append("started")
         raise typer.Exit(1)
 

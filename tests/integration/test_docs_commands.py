@@ -42,7 +42,7 @@ def test_each_command_of_a_page_is_understood(page, folder, monkeypatch):
         monkeypatch.setattr(f"smajax.app.command_line.{module}.start_run", stop)
     for line in lines(page.read_text("utf-8")):
         words = shlex.split(line)[1:]
-        if words[0] in ("init", "import"):  # they write; the pages about them have tests of their own
+        if words[0] in ("init", "import"):  # they write; other tests cover the pages about them
             continue
         missing = [word for word in words if word.startswith(PRESENT) and not (folder / word).exists()]
         assert not missing, line

@@ -17,7 +17,7 @@ class ClausiusAsymmetry(MaterialEffect):
     key = "clausius-asymmetry"
     typical: ClassVar[float] = 0.2
     source = "estimate: 0 to 30 %"
-    remedy = "Record cycles under at least three loads: heating and cooling then each have a slope of their own."
+    remedy = "Record cycles under at least three loads: heating and cooling then have different slopes."
     confused_with: ClassVar[tuple[str, ...]] = ()
 
     def modify_material(self, material: AbstractMaterial) -> AbstractMaterial:

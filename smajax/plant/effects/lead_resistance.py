@@ -19,7 +19,7 @@ class LeadResistance(DriveEffect):
     typical: ClassVar[float] = 0.2
     source = "estimate: 0.05 to 0.5 ohm"
     remedy = (
-        "Measure the voltage at the wire with leads of its own (four-wire measurement), or measure the resistance "
+        "Measure the voltage at the wire with separate leads (four-wire measurement), or measure the resistance "
         "of the leads."
     )
     confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature",)

@@ -36,7 +36,7 @@ class RPhase(MaterialEffect):
     source = "estimate: 0.5 to 1 % of strain, 10 to 20 % of resistance"
     remedy = (
         "Record the resistance, and cool slowly from above: a hump before the martensite forms is the R-phase. "
-        "Calorimetry (DSC) shows it as a peak of its own."
+        "Calorimetry (DSC) shows it as a separate peak."
     )
     confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature", "slack")
     shapes: ClassVar[Shapes] = (("above", (8.0, -10.0, 25.0)), ("width", (10.0,)), ("kept", (0.5,)), ("hump", (0.1,)))

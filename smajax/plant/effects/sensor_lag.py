@@ -18,7 +18,7 @@ class SensorLag(SensorEffect):
     typical: ClassVar[float] = 0.03
     source = "estimate: 10 to 100 ms"
     remedy = (
-        "Turn off the filter of the sensor or raise its bandwidth; move the sensor by hand in a step to measure "
+        "Turn off the filter of the sensor or raise its bandwidth; displace the sensor by hand in a step to measure "
         "its time constant."
     )
     confused_with: ClassVar[tuple[str, ...]] = ("time-skew", "viscous-friction")

@@ -74,7 +74,7 @@ def printed(tmp_path_factory):
 
 
 def c_controller(folder):
-    """Functions ``begin`` and ``command`` of the exported header, with the start of its own example."""
+    """Functions ``begin`` and ``command`` of the exported header, with the start of its example."""
     (folder / "loop.c").write_text(
         '#include "controller.h"\nstatic smajax_state s;\n'
         "void begin(double value) { smajax_reset(&s, SMAJAX_START, value); }\n"
