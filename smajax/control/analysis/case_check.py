@@ -1,10 +1,12 @@
 """Check of one set of gains on many cases, none of which a search has used: the worst of each metric, and its case."""
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +19,7 @@ from smajax.control.analysis.closed_loop_checks import (
     rollout_metrics,
     violated_limits,
 )
-from smajax.control.analysis.members import rollout_members
+from smajax.control.analysis.members import members_at_rest, rollout_cases
 from smajax.control.analysis.step_response import StepResponse
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.rollout import Rollout
@@ -115,16 +117,30 @@ def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[C
 
 
 def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequence[Case]) -> Rollout:
-    """Rollouts of a batch of cases."""
+    """Rollouts of a batch of cases; those that rest begin with the states after a rollout at the first reference."""
     own = {name: float(gain(task.loop, name)) for name in gains(task.loop)} | dict(tuned)
     values = {n: jnp.asarray([rounded(v, case.digits) for case in batch], jnp.float64) for n, v in own.items()}
     plants = {n: jnp.asarray([case.parameters[n] for case in batch], jnp.float64) for n in batch[0].parameters}
     noise = jnp.asarray(np.stack([case.noise for case in batch]))
     initial = jnp.asarray([case.initial for case in batch], jnp.float64)
-    return _simulate(task.system, task.loop, task.scenario, plants, noise, values, initial)
+    first = _at_rest(task.system, task.loop, task.scenario, plants, values, initial)
+    if any(case.rests for case in batch):
+        held = dataclasses.replace(
+            task.scenario,
+            reference=jnp.full_like(task.scenario.reference, task.scenario.reference[0]),
+            changes={name: jnp.full_like(rows, rows[0]) for name, rows in task.scenario.changes.items()},
+        )
+        # The noise before the first sample is that of the case in reverse order.
+        settled = _simulate(task.system, task.loop, held, plants, noise[:, ::-1], values, first).final_states
+        rests = jnp.asarray([case.rests for case in batch])
+        first = jax.tree.map(
+            lambda held, cold: jnp.where(rests.reshape(-1, *[1] * (held.ndim - 1)), held, cold), settled, first
+        )
+    return _simulate(task.system, task.loop, task.scenario, plants, noise, values, first)
 
 
-_simulate = jit_with_kernels(rollout_members)
+_simulate = jit_with_kernels(rollout_cases)
+_at_rest = jit_with_kernels(members_at_rest)
 
 
 def excess_of_limits(limits: Mapping[str, float], check: CaseCheck) -> dict[str, float]:

@@ -21,7 +21,7 @@ AMBIENT_RANGE = 3.0
 # Number of cases with another ambient temperature, the ends of the range included; of cases for each start of the loop;
 # and of cases for each rounding of the gains. Chosen so that all cases together fill whole batches.
 _AMBIENT_CASES = 29
-_START_CASES = 12
+_START_CASES = 8
 _ROUNDED_CASES = 4
 # Number of cases with parameters drawn from the intervals of a fit or from ranges, for the same reason.
 DRAWN_CASES = 64
@@ -54,6 +54,7 @@ class Case(NamedTuple):
         initial: Reference before the first sample.
         parameters: Parameters of the plant by name, internal units.
         digits: Significant digits to which the gains are rounded; 0 for none, ``SINGLE_PRECISION`` for a float.
+        rests: Whether the loop has held the first reference before the first sample, for as long as the rollout.
     """
 
     group: str
@@ -62,6 +63,7 @@ class Case(NamedTuple):
     initial: float
     parameters: dict[str, float]
     digits: int = 0
+    rests: bool = False
 
 
 def ambient_temperature(task: ControlTask, draws: Mapping[str, Any] | None = None) -> float | None:
@@ -146,9 +148,18 @@ def make_cases(
 
 
 def _starts(scenario: Scenario, rest: float, plain: dict[str, float], noise_draw: Any) -> list[Case]:
-    """Cases in which the controller begins at other references than that before the first sample."""
-    starts = {"a start at rest": rest, "a start at the first reference": float(scenario.reference[0])}
-    return [Case("start", name, noise_draw(), at, plain) for name, at in starts.items() for _ in range(_START_CASES)]
+    """Cases in which the controller begins at other references than that before the first sample, or the loop rests."""
+    first = float(scenario.reference[0])
+    starts = {
+        "a start at rest": (rest, False),
+        "a controller that starts at the first reference": (first, False),
+        "a loop at rest at the first reference": (first, True),
+    }
+    return [
+        Case("start", name, noise_draw(), at, plain, rests=rests)
+        for name, (at, rests) in starts.items()
+        for _ in range(_START_CASES)
+    ]
 
 
 def rounded(value: float, digits: int) -> float:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
-from smajax.control.loop.rollout import Rollout, Scenario, simulate_loop
+from smajax.control.loop.rollout import Rollout, Scenario, rollout_with_solutions, simulate_loop, states_at_rest
 from smajax.control.sampled_plant import AbstractSampledSystem
 from smajax.numerics.loop_kernels import jit_with_kernels
 
@@ -22,7 +22,6 @@ def rollout_members(
     members: dict[str, Float[Array, " members"]],
     noise: Float[Array, "members samples"],
     gains: dict[str, Float[Array, " members"]],
-    initial: Float[Array, " members"] | None = None,
 ) -> Rollout:
     """Simulate a loop around all members; the caller compiles it.
 
@@ -33,25 +32,82 @@ def rollout_members(
         members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
         noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
         gains: Gains by name, internal units, shape ``(m,)`` each.
-        initial: References before the first sample, shape ``(m,)``; by default that of the scenario.
 
     Returns:
         Rollouts whose leaves have a leading axis of ``m``.
     """
-    start = scenario.initial_reference if initial is None else initial
 
-    def simulate(
-        values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array], start: jax.Array
-    ) -> Rollout:
-        plant = system.with_parameters(values) if values else system
-        own = dataclasses.replace(scenario, draws=draws, initial_reference=start)
-        return simulate_loop(plant, with_gains(loop, gains), own)
+    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
+        own = dataclasses.replace(scenario, draws=draws)
+        return simulate_loop(_changed(system, values), with_gains(loop, gains), own)
 
     # A single rollout is faster than a batch of one.
-    if not members and noise.shape[0] == 1 and initial is None:
-        single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()}, start)
+    if not members and noise.shape[0] == 1:
+        single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()})
         return jax.tree.map(lambda leaf: leaf[None], single)
-    return jax.vmap(simulate, in_axes=(0, 0, 0, None if initial is None else 0))(members, noise, gains, start)
+    return jax.vmap(simulate)(members, noise, gains)
+
+
+def rollout_cases(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    members: dict[str, Float[Array, " cases"]],
+    noise: Float[Array, "cases samples"],
+    gains: dict[str, Float[Array, " cases"]],
+    first: Any,
+) -> Rollout:
+    """Simulate a loop around all members from given states; the caller compiles it.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: The scenario; its noise is replaced by that of each member.
+        members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
+        noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
+        gains: Gains by name, internal units, shape ``(m,)`` each.
+        first: States of plant and loop before the first sample, with a leading axis of ``m``: those of
+            ``members_at_rest``, or the final states of other rollouts.
+
+    Returns:
+        Rollouts whose leaves have a leading axis of ``m``.
+    """
+
+    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array], first: Any) -> Rollout:
+        own = dataclasses.replace(scenario, draws=draws)
+        return rollout_with_solutions(_changed(system, values), with_gains(loop, gains), own, first)[0]
+
+    return jax.vmap(simulate)(members, noise, gains, first)
+
+
+def members_at_rest(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    members: dict[str, Float[Array, " cases"]],
+    gains: dict[str, Float[Array, " cases"]],
+    initial: Float[Array, " cases"],
+) -> Any:
+    """Return the states of all members at rest, for ``rollout_cases``; the caller compiles it.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: The scenario.
+        members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
+        gains: Gains by name, internal units, shape ``(m,)`` each.
+        initial: References before the first sample, shape ``(m,)``.
+    """
+
+    def start(values: dict[str, jax.Array], gains: dict[str, jax.Array], initial: jax.Array) -> Any:
+        own = dataclasses.replace(scenario, initial_reference=initial)
+        return states_at_rest(_changed(system, values), with_gains(loop, gains), own)
+
+    return jax.vmap(start)(members, gains, initial)
+
+
+def _changed(system: AbstractSampledSystem, values: dict[str, jax.Array]) -> AbstractSampledSystem:
+    return system.with_parameters(values) if values else system
 
 
 def simulate_members(

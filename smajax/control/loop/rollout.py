@@ -233,13 +233,17 @@ def simulate_loop(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Sce
     return rollout_with_solutions(system, loop, scenario)[0]
 
 
-def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[Rollout, Any]:
+def rollout_with_solutions(
+    system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, first: Any = None
+) -> tuple[Rollout, Any]:
     """Simulate a closed loop, and store the states and step solutions that its derivative needs.
 
     Args:
         system: The sampled plant.
         loop: The closed loop, of the same period.
         scenario: Reference, noise and changes.
+        first: States and commands before the first sample, such as the final states of another rollout; by default
+            those of ``states_at_rest``.
 
     Returns:
         The rollout; and for an implicit plant the flat states before each sample and the step solutions after it, with
@@ -256,13 +260,24 @@ def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scen
         return later, (channels, command, unsolved, solutions)
 
     end, (channels, command, unsolved, solutions) = _checkpointed_scan(
-        sample, _initial_carry(system, loop, scenario), scenario.rows, scenario.block
+        sample, states_at_rest(system, loop, scenario) if first is None else first, scenario.rows, scenario.block
     )
+    if system.is_implicit:
+        # As one array, like the tangents: under ``vmap`` a value and its tangent are then batched together, or neither
+        # is, which JAX needs for the derivative of a function that it has traced before.
+        flat, unflatten = ravel_pytree(end)
+        end = unflatten(flat)
     return Rollout(channels, command, jnp.sum(unsolved), end), solutions
 
 
-def _initial_carry(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Any:
-    """States of plant and loop at rest, and commands of 0."""
+def states_at_rest(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Any:
+    """Return the states of plant and loop at rest, and commands of 0.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: The scenario, of which the initial reference is used.
+    """
     start, no_command = system.start(), jnp.zeros(system.wires)
     return start, loop.reset(scenario.initial_reference, system.observe(start, no_command)), no_command
 
@@ -298,7 +313,7 @@ def _implicit_rollout_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -
     primals = nondifferentiable(primals, first_order_only("the rollout of an implicit plant"))
     (system, loop, scenario), (system_tangent, loop_tangent, scenario_tangent) = primals, tangents
     result, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
-    unflatten = ravel_pytree(_initial_carry(system, loop, scenario))[1]
+    unflatten = ravel_pytree(states_at_rest(system, loop, scenario))[1]
 
     def propagate(tangent: Any, sample: tuple[Any, ...]) -> tuple[Any, Any]:
         carry, step_solutions, row, row_tangent = sample
@@ -317,7 +332,7 @@ def _implicit_rollout_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -
 
         return jvp(period, (system, loop, carry, row), (system_tangent, loop_tangent, tangent, row_tangent))
 
-    first = jvp(lambda *all_: ravel_pytree(_initial_carry(*all_))[0], primals, tangents)
+    first = jvp(lambda *all_: ravel_pytree(states_at_rest(*all_))[0], primals, tangents)
     row_tangents = jax.tree.map(
         lambda row, tangent: jnp.zeros_like(row) if tangent is None else tangent,
         scenario.rows,

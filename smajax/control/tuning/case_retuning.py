@@ -9,25 +9,20 @@ import numpy as np
 from smajax.control.analysis.case_check import CaseCheck, check_cases, excess_of_limits
 from smajax.control.analysis.cases import Case
 from smajax.control.analysis.closed_loop_checks import metric_of_limit
-from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
-from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem
-from smajax.control.tuning.search import VIOLATION_TOLERANCE, GainSearch
 from smajax.control.tuning.task import TuningTask
 from smajax.control.tuning.tune import TuningResult, tune
 from smajax.progress import PhasesAndSteps
 
 # Largest number of searches for cases that fail.
 _RETUNINGS = 3
-# Number of cases that a search uses, and how many of them may be failing ones. Chosen by trial.
+# Smallest number of cases that a search uses, and how many of them may be failing ones. Chosen by trial.
 _MEMBERS = 24
 _MOST_FAILING = 12
 # Tightening of a limit that cases exceed, over the largest excess, and its largest value in each search as a share of
 # the limit: the search has the worst cases as members, and other cases exceed them by little. Chosen by trial.
 _TIGHTENING = 1.5
 _MAX_TIGHTENING = (0.05, 0.15, 0.4)
-# First radius, last radius and largest number of evaluations of COBYQA. Chosen by trial.
-_COBYQA = (0.1, 0.003, 60)
 
 
 class JudgedGains(NamedTuple):
@@ -86,7 +81,9 @@ def judge_gains(
         rollouts = result.rollouts + other.rollouts
         is_better = _rank(task, check) < _rank(task, best)
         best = check if is_better else best
-        result = (other if is_better else result)._replace(rollouts=rollouts, feasible=True)
+        result = (other if is_better else result)._replace(
+            rollouts=rollouts, feasible=True, interrupted=other.interrupted
+        )
     return JudgedGains(result, best, rounds)
 
 
@@ -118,27 +115,16 @@ def _search(
     cases: Sequence[Case],
     progress: PhasesAndSteps,
 ) -> TuningResult:
-    """The best gains for some cases: by quadratic models from the last gains, then by a population."""
-    chosen = [cases[k % len(cases)] for k in range(_MEMBERS)]
+    """The best gains for some cases, from the last gains."""
+    chosen = [cases[k % len(cases)] for k in range(max(_MEMBERS, problem.count))]
     members = {name: np.array([case.parameters[name] for case in chosen]) for name in chosen[0].parameters}
-    noise = np.stack([case.noise for case in chosen])
-    on_cases = TuningProblem.of(task.system, problem.loop, task.scenario, task.bounds, members, noise)
-
-    def report(count: int, cost: float) -> None:
-        progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count)
-
-    if task.settle:
-        return tune(on_cases, task.weights, task.limits, settle=True, band=task.band, progress=report)
-    search = GainSearch(on_cases, make_objective(task.weights, task.limits, task.band), report)
-    best = search.search_by_cobyqa(result.point, on_cases, *_COBYQA)
-    if best.violation > 0.0:
-        best = evolve_population(search, best.point)
-    terms, violations = search.evaluate(best.point[None])
-    return result._replace(
-        point=best.point,
-        gains={name: float(v) for name, v in on_cases.gains(best.point).items()},
-        terms={t: float(v) for t, v in zip(TERMS, terms[0] / search.scale, strict=True)},
-        violations={k: float(v) for k, v in zip(LIMITS, violations[0], strict=True) if k in task.limits},
-        feasible=float(np.max(violations[0])) <= VIOLATION_TOLERANCE,
-        rollouts=search.rollouts,
+    noise, loop = np.stack([case.noise for case in chosen]), problem.loop_with(result.gains)
+    return tune(
+        TuningProblem.of(task.system, loop, task.scenario, task.bounds, members, noise),
+        task.weights,
+        task.limits,
+        settle=task.settle,
+        population=not task.settle,
+        band=task.band,
+        progress=lambda count, cost: progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count),
     )

@@ -1,6 +1,7 @@
 """Gains with the shortest settling time, or one below a limit: the discontinuous settling time has its own search."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -13,15 +14,17 @@ from smajax.control.tuning.objective import LIMITS, Objective, evaluate_objectiv
 from smajax.control.tuning.problem import TuningProblem, simulate_gains
 from smajax.control.tuning.search import VIOLATION_TOLERANCE, Candidate, GainSearch, rank, total_violation
 from smajax.control.tuning.settling_slp import LinearisedResponse, linearise, settling_slp
+from smajax.control.tuning.trust_region import SearchState
 from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS
 
 # Weights of the terms that are minimised before the settling time: ITAE, since its minimum settles without a slow
 # final approach.
 START_WEIGHTS = {"itae": 1.0}
-# Largest number of steps of that search, and the factor of the coordinates, which bounds its first step; chosen by
+# Largest number of steps of that search, and first and last radius of its trust region; chosen by
 # experiments/papers/hip/hip_gains.py.
 _STEPS = 10
-_COORDINATE_SCALE = 5.0
+_RADIUS = 0.1
+_MIN_RADIUS = 1e-3
 # Largest number of evaluations of the settling time; as a rule the search converges earlier.
 _EVALUATIONS = 32
 
@@ -29,7 +32,7 @@ _EVALUATIONS = 32
 def minimise_without_limits(
     search: GainSearch, points: Float[np.ndarray, "starts gains"]
 ) -> Float[np.ndarray, " gains"]:
-    """Minimise the terms without limits by L-BFGS-B from several starts.
+    """Minimise the terms without limits by gradients from several starts.
 
     Args:
         search: The search.
@@ -41,12 +44,12 @@ def minimise_without_limits(
     Raises:
         NumericsError: if no point has a finite cost.
     """
-    objective, multipliers = search.objective_without_limits, search.zero_multipliers
-    best = min(
-        (search.descend_by_lbfgs(p, objective, multipliers, 1.0, _STEPS, _COORDINATE_SCALE) for p in points),
-        key=lambda candidate: candidate.cost,
-    )
-    return search.require_cost(best).point
+    states = [
+        search.descend_in_trust_region(SearchState(p, math.inf, None, _RADIUS), search.problem, _MIN_RADIUS, _STEPS)
+        for p in points
+    ]
+    best = min(states, key=lambda state: state.cost)
+    return search.require_cost(Candidate(0.0, math.exp(best.cost), best.point)).point
 
 
 def minimise_settling_time(search: GainSearch, start: Float[np.ndarray, " gains"]) -> Float[np.ndarray, " gains"]:

@@ -1,4 +1,4 @@
-"""The objective of a tuning: terms that are minimised and limits that are kept, as residuals of a least-squares search.
+"""The objective of a tuning: terms that are minimised, and limits that are kept.
 
 Terms are sums of squares over the n samples of a rollout with error e, time t and period T:
 
@@ -11,10 +11,7 @@ hundredth of its range at every sample; overshoot by 1, its value if the error i
 allowed. A small weight of effort is needed if the simulated sensor is better than the real one: otherwise the best
 gains make the command oscillate with the noise.
 
-A limit c <= 0 at every sample is kept by an augmented Lagrangian: its residual is sqrt(mu) max(0, c + lambda / mu),
-where mu is the penalty, and the multiplier lambda grows after each search by mu c.
-
-Source: nocedal2006, section 17.3.
+A limit is kept where its violation c is at most 0 at every sample.
 """
 
 from collections.abc import Mapping
@@ -179,30 +176,6 @@ def _violations(rollout: Rollout, reference: ReferenceSignal, objective: Objecti
         ),
     ]
     return jnp.stack(violations)
-
-
-def residual(
-    evaluated: ObjectiveTerms,
-    scale: Float[Array, " terms"],
-    objective: Objective,
-    multipliers: Float[Array, "limits samples"],
-    penalty: Float[Array, ""],
-) -> Float[Array, " residuals"]:
-    """Compute all residuals of the augmented Lagrangian; the cost is the sum of their squares.
-
-    Args:
-        evaluated: Terms and limits of a rollout.
-        scale: Terms at the start, shape ``(5,)``.
-        objective: Weights and limits.
-        multipliers: Multipliers of the limits at the samples, shape ``(5, n)``.
-        penalty: Penalty mu.
-
-    Returns:
-        Residuals, shape ``(10 n,)``.
-    """
-    terms = evaluated.terms * jnp.sqrt(objective.weights / scale)[:, None]
-    limits = jnp.sqrt(penalty) * maximum(evaluated.violations + multipliers / penalty, 0.0)
-    return jnp.concatenate([terms.ravel(), limits.ravel()])
 
 
 def _excess(values: jax.Array, limit: jax.Array, scale: Any) -> jax.Array:

@@ -1,11 +1,10 @@
-"""The search for gains: cost and gradient at a point, evaluated points, number of rollouts, and three local searches.
+"""The search for gains: cost and gradient at a point, evaluated points, number of rollouts, and two local searches.
 
 A point lies in the unit box: the logarithms of the gains, scaled between their bounds. Terms and limits (``objective``)
 are combined to one cost; the work of its reverse-mode gradient does not depend on the number of gains. Several members
 (plants, draws of the noise) are simulated as one batch and have equal weights; a search may use some of them only.
 """
 
-import contextlib
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from smajax.control.tuning import trust_region
-from smajax.control.tuning.objective import LIMITS, TERMS, Objective, residual
+from smajax.control.tuning.objective import LIMITS, TERMS, Objective, ObjectiveTerms
 from smajax.control.tuning.problem import TuningProblem, evaluate_points
 from smajax.control.tuning.trust_region import SearchState
 from smajax.errors import NumericsError
@@ -30,21 +29,12 @@ BATCH = 8
 VIOLATION_TOLERANCE = 1e-3
 # Number of rollouts that a reverse-mode gradient counts as: its measured run time is that of 2.6 to 2.9 rollouts.
 _GRADIENT_ROLLOUTS = 3
-# Components of a gradient are scaled down to this size, costs being near 1: larger ones belong to unstable loops and
-# would end a line search.
-_MAX_GRADIENT = 100.0
-# Size of a gradient's component above which the gradient is meaningless, and the number of such gradients that ends a
-# search; test_meaningless_gradients_end_the_search of tests/unit/control/test_tuning.py holds them.
-_MEANINGLESS_GRADIENT = 1e6
-_MAX_MEANINGLESS = 3
 # Cost that replaces one that is not finite.
 _OVERFLOW = 1e30
 # Change of the command, as a share of its range, at which the effort term is 1, and the range above which a command
 # counts as unbounded.
 _UNIT_MOVE = 0.01
 _UNBOUNDED_RANGE = 1e6
-# Relative decrease of the cost that ends L-BFGS-B; chosen by trial.
-_COST_TOLERANCE = 1e-4
 # Largest violation, and largest ratio of a cost to the first one, that COBYQA gets, so that a steep increase does not
 # distort its quadratic models; test_quadratic_models_continue_where_gradients_are_meaningless of
 # tests/unit/control/test_tuning.py holds them.
@@ -52,48 +42,17 @@ _MAX_VIOLATION = 10.0
 _MAX_COST_RATIO = 100.0
 
 
-class _CostArguments(NamedTuple):
-    """Arguments of the cost other than the point; arrays, so that new values do not cause a recompilation."""
-
-    problem: TuningProblem
-    objective: Objective
-    scale: jax.Array
-    multipliers: jax.Array
-    penalty: jax.Array
+def _cost(evaluated: ObjectiveTerms, objective: Objective, scale: jax.Array) -> jax.Array:
+    """The sum of the weighted terms over their scales, mean over the members."""
+    return jnp.sum(jnp.mean(jnp.sum(evaluated.terms**2, axis=2), axis=0) * objective.weights / scale)
 
 
 @jit_with_kernels
-def _cost_and_gradient(point: jax.Array, arguments: _CostArguments) -> tuple[jax.Array, jax.Array]:
-    """The sum of squares of all residuals, mean over the members, and its gradient."""
-    objective, scale, penalty = arguments.objective, arguments.scale, arguments.penalty
-
-    def cost(point: jax.Array) -> jax.Array:
-        evaluated = arguments.problem.objective_terms(point, objective)
-        residuals = jax.vmap(lambda e, m: residual(e, scale, objective, m, penalty))(evaluated, arguments.multipliers)
-        return jnp.sum(residuals**2) / residuals.shape[0]
-
-    return jax.value_and_grad(cost)(point)
-
-
-@jit_with_kernels
-def limit_violations(
-    problem: TuningProblem, point: Float[Array, " gains"], objective: Objective
-) -> Float[Array, "members limits samples"]:
-    """Compute the violations of the limits at a point.
-
-    Args:
-        problem: The tuning problem.
-        point: A point of the unit box, shape ``(p,)``.
-        objective: The limits.
-
-    Returns:
-        Violations, dimensionless, shape ``(m, 5, n)``; a limit is kept where its violation is at most 0.
-    """
-    return problem.objective_terms(point, objective).violations
-
-
-class _MeaninglessGradients(Exception):
-    """Exception that ends a search whose gradients are meaningless."""
+def _cost_and_gradient(
+    problem: TuningProblem, point: jax.Array, objective: Objective, scale: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The cost and its gradient."""
+    return jax.value_and_grad(lambda p: _cost(problem.objective_terms(p, objective), objective, scale))(point)
 
 
 class Candidate(NamedTuple):
@@ -141,7 +100,6 @@ class GainSearch:
         reached: Points to which the local searches improved so far, also those of the searches that this one starts.
         scale: Terms at the start, by which they are divided, shape ``(5,)``.
         has_no_limits: Whether there are no limits and the settling time is not minimised.
-        zero_multipliers: Multipliers that are 0, shape ``(m, 5, n)``.
         objective_without_limits: The objective without its limits.
     """
 
@@ -170,6 +128,8 @@ class GainSearch:
         self.rollouts: int = 0
         self.history: list[Any] = []
         self.evaluated: list[Candidate] = []
+        self._least: float = math.inf
+        self._settles: bool = settle
         terms, violations = self.evaluate(problem.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale: np.ndarray = np.where(usable, terms[0], 1.0)
@@ -180,7 +140,6 @@ class GainSearch:
             self.scale[TERMS.index("effort")] = count * (_UNIT_MOVE * command_range) ** 2
         self.scale[TERMS.index("overshoot")] = 1.0
         self.has_no_limits: bool = not (settle or np.any(np.isfinite(np.asarray(objective.limits))))
-        self.zero_multipliers: jax.Array = jnp.zeros((problem.count, len(LIMITS), count))
         no_limits = jnp.full_like(objective.limits, jnp.inf)
         self.objective_without_limits: Any = eqx.tree_at(lambda o: o.limits, objective, no_limits)
         self.record(self._candidate(problem.start, terms[0], violations[0]))
@@ -223,8 +182,9 @@ class GainSearch:
         return Candidate(total_violation(violations), cost, point, violations)
 
     def record(self, candidate: Candidate) -> None:
-        """Record a candidate that all members evaluated; without limits, improvements are added to the history."""
-        if self.has_no_limits and candidate.cost < min((c.cost for c in self.evaluated), default=math.inf):
+        """Record a candidate that all members evaluated; improvements within all limits are added to the history."""
+        if candidate.violation == 0.0 and candidate.cost < self._least and not self._settles:
+            self._least = candidate.cost
             self.history.append((self.rollouts, candidate.cost))
         self.evaluated.append(candidate)
 
@@ -242,21 +202,18 @@ class GainSearch:
         Returns:
             The state at the end, with the best point.
         """
-        multipliers = self.zero_multipliers[: problem.count]
-        arguments = _CostArguments(
-            problem, self.objective_without_limits, jnp.asarray(self.scale), multipliers, jnp.asarray(1.0)
-        )
+        scale = jnp.asarray(self.scale)
         free = np.asarray(self.problem.upper > self.problem.lower)
         lowest = [math.inf]
 
         def log_cost_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:
             """Evaluate the logarithm of the cost and its gradient; infinite where they are not finite."""
-            value, derivative = _cost_and_gradient(jnp.asarray(point), arguments)
+            value, derivative = _cost_and_gradient(problem, jnp.asarray(point), self.objective_without_limits, scale)
             self.rollouts += _GRADIENT_ROLLOUTS * problem.count
             cost, gradient = float(value), np.where(free, np.asarray(derivative), 0.0)
             if not (0.0 < cost < math.inf and np.all(np.isfinite(gradient))):
                 return math.inf, np.zeros_like(point)
-            if problem.count == self.problem.count:
+            if problem.count == self.problem.count and self.has_no_limits:
                 self.record(Candidate(0.0, cost, point))
             if cost < lowest[0]:
                 lowest[0] = cost
@@ -265,62 +222,6 @@ class GainSearch:
             return math.log(cost), gradient / cost
 
         return trust_region.descend(log_cost_and_gradient, state, min_radius, steps)
-
-    def descend_by_lbfgs(
-        self,
-        start: Float[np.ndarray, " gains"],
-        objective: Objective,
-        multipliers: Float[Array, "members limits samples"],
-        penalty: float,
-        steps: int,
-        scale: float,
-        max_distance: float = 1.0,
-    ) -> Candidate:
-        """Minimise the augmented Lagrangian by SciPy's L-BFGS-B with all members.
-
-        Args:
-            start: Start in the unit box, shape ``(p,)``.
-            objective: Weights and limits.
-            multipliers: Multipliers of the limits, shape ``(m, 5, n)``.
-            penalty: Penalty mu.
-            steps: Largest number of steps.
-            scale: Factor of the coordinates; the length of the first step is at most its inverse.
-            max_distance: Largest distance from the start in each coordinate, in sizes of the box.
-
-        Returns:
-            The best point with the augmented Lagrangian as its cost (infinite if no point has a finite one); its
-            violation is set to 0.
-        """
-        arguments = _CostArguments(self.problem, objective, jnp.asarray(self.scale), multipliers, jnp.asarray(penalty))
-        best = Candidate(0.0, math.inf, start)
-        free, meaningless = np.asarray(self.problem.upper > self.problem.lower), 0
-
-        def cost_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
-            """Evaluate the cost and its gradient, and keep the best point."""
-            nonlocal best, meaningless
-            value, derivative = _cost_and_gradient(jnp.asarray(x / scale), arguments)
-            self.rollouts += _GRADIENT_ROLLOUTS * self.problem.count
-            cost, gradient = float(value), np.where(free, np.asarray(derivative), 0.0) / scale
-            if not (math.isfinite(cost) and np.all(np.isfinite(gradient))):
-                return _OVERFLOW, np.zeros_like(x)
-            if cost < best.cost:
-                best = Candidate(0.0, cost, x / scale)
-                self.reached.append(best.point)
-                self.progress(self.rollouts, cost)
-            largest = scale * float(np.max(np.abs(gradient)))
-            meaningless += largest > _MEANINGLESS_GRADIENT
-            if meaningless == _MAX_MEANINGLESS:
-                raise _MeaninglessGradients
-            return cost, gradient * min(1.0, _MAX_GRADIENT / max(1e-300, largest))
-
-        low, high = np.maximum(0.0, start - max_distance) * scale, np.minimum(1.0, start + max_distance) * scale
-        options = {"maxiter": steps, "maxfun": 2 * steps, "ftol": _COST_TOLERANCE}
-        bounds = list(zip(low, high, strict=True))
-        with contextlib.suppress(_MeaninglessGradients):
-            scipy.optimize.minimize(
-                cost_and_gradient, start * scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options
-            )
-        return best
 
     def search_by_cobyqa(
         self,
@@ -359,8 +260,6 @@ class GainSearch:
             if rank(candidate) < rank(best):
                 best = candidate
                 self.reached.append(point)
-                if candidate.violation == 0.0 and not self.has_no_limits and problem.count == self.problem.count:
-                    self.history.append((self.rollouts, candidate.cost))
             self.progress(self.rollouts, best.cost)
             return candidate
 

@@ -1,7 +1,8 @@
 """Tuning of gains by gradients through the rollout, from one start or several, within limits or without.
 
-Objective and limits decide which search runs: ``unconstrained`` without limits, ``augmented_lagrangian`` within limits,
-and ``minimise_settling_time`` for the shortest settling time, or for one below a limit.
+Objective and limits decide which search runs: ``unconstrained`` without limits, ``constrained`` within limits, and
+``minimise_settling_time`` for the shortest settling time, or for one below a limit. A population may follow, since the
+cost of a closed loop has several minima, and gradients lead to the nearest one.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smajax.control.analysis.step_response import SETTLING_BAND
-from smajax.control.tuning.augmented_lagrangian import augmented_lagrangian
+from smajax.control.tuning.constrained import constrained
 from smajax.control.tuning.minimise_settling_time import (
     START_WEIGHTS,
     longest_settling,
@@ -21,9 +22,10 @@ from smajax.control.tuning.minimise_settling_time import (
     minimise_without_limits,
 )
 from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
+from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem
 from smajax.control.tuning.search import BATCH, VIOLATION_TOLERANCE, GainSearch, rank
-from smajax.control.tuning.unconstrained import unconstrained
+from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS, unconstrained
 from smajax.errors import InputError
 
 # Smallest number of random points that are evaluated to choose several starts; chosen by trial.
@@ -90,6 +92,7 @@ def tune(
     limits: Mapping[str, float],
     *,
     settle: bool = False,
+    population: bool = False,
     starts: int = 1,
     seed: int = 0,
     band: float = SETTLING_BAND,
@@ -102,6 +105,7 @@ def tune(
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
         settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
+        population: Whether a population and quadratic models follow the search by gradients of the terms.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
@@ -127,7 +131,13 @@ def tune(
     search = GainSearch(problem, make_objective(weights or START_WEIGHTS, limits, band), progress, settle)
     interrupted = False
     try:
-        point = _search(search, _starts(search, starts, seed), settle, limits.get("settling", math.inf) < math.inf)
+        points = _starts(search, starts, seed)
+        if settle:
+            point = minimise_settling_time(search, minimise_without_limits(search, points))
+        else:
+            point = _minimise_terms(search, points, population)
+            if limits.get("settling", math.inf) < math.inf:
+                point = meet_settling_limit(search, point, points)
     except KeyboardInterrupt:
         point, interrupted = _best_so_far(search, settle, band), True
     terms, violations = search.evaluate(point[None])
@@ -144,16 +154,16 @@ def tune(
     )
 
 
-def _search(
-    search: GainSearch, points: Float[np.ndarray, "starts gains"], settle: bool, limits_settling: bool
+def _minimise_terms(
+    search: GainSearch, points: Float[np.ndarray, "starts gains"], population: bool
 ) -> Float[np.ndarray, " gains"]:
-    """The best point of the searches that objective and limits ask for, shape ``(p,)``."""
-    if settle:
-        return minimise_settling_time(search, minimise_without_limits(search, points))
-    if search.has_no_limits:
-        return unconstrained(search, points)
-    point = augmented_lagrangian(search, points)
-    return meet_settling_limit(search, point, points) if limits_settling else point
+    """The best point within the limits, if there are any, shape ``(p,)``."""
+    point = (unconstrained if search.has_no_limits else constrained)(search, points)
+    if not population:
+        return point
+    evolved = evolve_population(search, point)
+    search.search_by_cobyqa(evolved.point, search.problem, *COBYQA_ALL_MEMBERS)
+    return search.best().point
 
 
 def _best_so_far(search: GainSearch, settle: bool, band: float) -> Float[np.ndarray, " gains"]:

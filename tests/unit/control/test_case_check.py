@@ -16,6 +16,7 @@ from smajax.control.analysis.closed_loop_checks import evaluate_gains
 from smajax.control.analysis.margins import Margins, has_usual_margins
 from smajax.control.controller_file.read import read_controller
 from smajax.control.loop.gains import gain
+from smajax.control.loop.rollout import Scenario, simulate_loop
 from smajax.control.tuning import case_retuning
 from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.objective import SOFT_OVERSHOOT, TERMS, make_objective
@@ -88,6 +89,23 @@ def test_a_check_has_the_worst_value_of_each_metric_and_its_case(tmp_path):
     beyond = tuple(k for k, peak in enumerate(peaks) if peak > limit)
     assert 0 < len(beyond) < 3 and check.beyond == {"temperature": beyond} and check.failing == beyond
     assert excess_of_limits(task.limits, check)["temperature"] == pytest.approx(max(peaks) - limit)
+
+
+def test_a_loop_that_rests_at_the_first_reference_continues_another_rollout(tmp_path):
+    """Its first level is reached before the first sample: what follows is the end of a rollout with a longer level."""
+    task = task_of(tmp_path)
+    count, own = len(task.scenario.reference), own_gains(task)
+    quiet, plain = np.zeros(count), {"environment.ambient": 20.0}
+    resting = [case for case in make_cases(task, {}, True, 0) if case.rests]
+    assert len(resting) == 8 and {case.initial for case in resting} == {4e-3}
+    cases = [Case("start", "at rest", quiet, 4e-3, plain, rests=True), Case("quiet", "cold", quiet, 4e-3, plain)]
+    check = check_cases(task, own, cases)
+    level = np.full(count, task.scenario.reference[0])
+    longer = Scenario.noiseless(np.concatenate([level, task.scenario.reference]), 4e-3)
+    displacement = np.asarray(simulate_loop(task.system, task.loop, longer).channels["displacement"])
+    error = displacement[count:] - np.asarray(task.scenario.reference)
+    assert check.metrics[0]["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+    assert check.metrics[0]["rmse"] < 0.9 * check.metrics[1]["rmse"]
 
 
 def test_the_last_batch_is_padded(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 import pytest
 
 from smajax.control.controllers.base import AbstractController
@@ -175,6 +176,22 @@ def test_gains_are_batched_by_vmap(sampled):
         single = rollout(sampled, with_gains(loop_of(), {"kp": kp}), REFERENCE)
         np.testing.assert_allclose(values, single.channels["displacement"], rtol=1e-9)
     assert batch.status.tolist() == [0, 0, 0]
+
+
+def test_a_batch_that_was_traced_before_is_differentiable(sampled):
+    """As in the solvers of optimistix, which trace their function once and differentiate the traced program."""
+    gains = jnp.asarray([200.0, 300.0])
+
+    def errors(numbers, _):
+        def error(kp):
+            result = rollout(sampled, with_gains(loop_of(), {"kp": numbers[0] * kp}), REFERENCE)
+            return jnp.mean((result.channels["displacement"] - REFERENCE) ** 2)
+
+        return 1e6 * jnp.mean(jax.vmap(error)(gains))
+
+    start = jnp.asarray([0.5])
+    found = optimistix.minimise(errors, optimistix.BFGS(1e-3, 1e-3), start, max_steps=8, throw=False).value
+    assert errors(found, None) < errors(start, None)
 
 
 @pytest.mark.parametrize("second", [jax.grad, jax.jacfwd])
