@@ -120,14 +120,7 @@ def tune(
         InputError: if there are neither weights nor ``settle``, or the reference has no jump to settle after.
         NumericsError: if no point has a finite cost.
     """
-    if not weights and not settle:
-        raise InputError(
-            f"there is no objective: give a weight to one of {', '.join(TERMS)}, or minimise the settling time"
-        )
-    if settle and not np.any(np.asarray(problem.reference.jump_size)):
-        raise InputError(
-            "the reference never jumps and holds, so there is no settling time to minimise: choose tracking instead"
-        )
+    _check_objective(problem, weights, settle)
     search = GainSearch(problem, make_objective(weights or START_WEIGHTS, limits, band), progress, settle)
     interrupted = False
     try:
@@ -152,6 +145,18 @@ def tune(
         history=tuple(search.history),
         interrupted=interrupted,
     )
+
+
+def _check_objective(problem: TuningProblem, weights: Mapping[str, float], settle: bool) -> None:
+    """Refuse a search without an objective."""
+    if not weights and not settle:
+        raise InputError(
+            f"there is no objective: give a weight to one of {', '.join(TERMS)}, or minimise the settling time"
+        )
+    if settle and not np.any(np.asarray(problem.reference.jump_size)):
+        raise InputError(
+            "the reference never jumps and holds, so there is no settling time to minimise: choose tracking instead"
+        )
 
 
 def _minimise_terms(
