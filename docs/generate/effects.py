@@ -2,13 +2,12 @@
 
 import math
 
+from docs.generate.effect_equations import EQUATIONS, STAGES
 from docs.generate.markdown import code, docstring, first_sentence, table
 from smajax.app.commands.catalogues import similar_effects
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 from smajax.units import as_text
-
-STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 
 
 def effects() -> str:
@@ -59,4 +58,4 @@ def _section(key: str) -> str:
     listed = "\n".join(f"- **{name}**: {content}" for name, content in facts if content)
     sample = f'```toml\n[effects.{key}]\nstrength = "{as_text(effect.typical, effect.unit())}"\n```'
     parameters = table(("key", "typical or default", "bounds", "meaning"), rows)
-    return f"\n## {key} {{ #{key} }}\n\n{text}\n\n{parameters}\n{listed}\n\n{sample}\n"
+    return f"\n## {key} {{ #{key} }}\n\n{text}\n\n$$ {EQUATIONS[key]} $$\n\n{parameters}\n{listed}\n\n{sample}\n"

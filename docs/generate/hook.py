@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT))
 
 from docs.generate import pages  # noqa: E402
 from docs.generate.outputs import clean_up, output_of  # noqa: E402
+from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 OUTPUT = re.compile(r"^<!-- output of: (smajax .+) -->$", re.MULTILINE)
@@ -49,9 +50,9 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Insert the generated parts and the output of commands, and let links point to pages of the site."""
+    """Insert generated parts, results and the output of commands, and let links point to pages of the site."""
     source = page.file.src_uri
-    markdown = PART.sub(lambda match: pages.PARTS[match[1]](), markdown)
+    markdown = insert_results(PART.sub(lambda match: pages.PARTS[match[1]](), markdown))
     markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
     return OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
 

@@ -3,7 +3,19 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from docs.generate import api, bibliography, commands, documents, effects, keys, sets, topics, tutorial
+from docs.generate import (
+    api,
+    bibliography,
+    commands,
+    documents,
+    effect_equations,
+    effects,
+    experiment_list,
+    keys,
+    sets,
+    topics,
+    tutorial,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 # Parts by the name in a line <!-- generated: NAME --> of a page.
@@ -12,7 +24,9 @@ PARTS: dict[str, Callable[[], str]] = {
     "commands": commands.commands,
     "controller-keys": keys.controller_keys,
     "documents": documents.documents,
+    "effect-equations": effect_equations.effect_equations,
     "effects": effects.effects,
+    "experiments": experiment_list.experiments,
     "messages": topics.messages,
     "parameter-sets": sets.parameter_sets,
     "public-names": api.public_names,

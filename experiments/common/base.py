@@ -6,17 +6,16 @@ and hands them to ``finish``.
 
 import argparse
 import json
-import os
-import platform
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn
+
+from experiments.common import results
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "experiments"
 DATA = ROOT.parent / "shared" / "data"  # recordings by others
 
 
@@ -84,6 +82,7 @@ def arguments(
         parser.add_argument(name, **options)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
+    parser.add_argument("--record", action="store_true", help="write the table to experiments/results")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the pictures to DIR")
     args = parser.parse_args()
     if data and not args.data.exists() and (DATA / args.data).is_dir():
@@ -238,34 +237,26 @@ def exponent(sizes: Sequence[float], seconds: Sequence[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
-def experiment_name() -> str:
-    """Return the path of the running experiment below experiments/, without suffix, as in ``papers/hip/hip_gains``."""
-    path = Path(sys.argv[0]).resolve().with_suffix("")
-    return path.relative_to(EXPERIMENTS).as_posix() if path.is_relative_to(EXPERIMENTS) else path.name
-
-
-def finish(rows: Sequence[Row], args: argparse.Namespace, **facts: Any) -> None:
-    """Print the table, and write it to the JSON file if the command line names one.
+def finish(
+    rows: Sequence[Row], args: argparse.Namespace, *, words: str = "", resumed: bool = False, **facts: Any
+) -> None:
+    """Print the table, and write it to the JSON file and to the folder of results if the command line asks for it.
 
     Args:
         rows: The lines of the table.
         args: The command line, as ``arguments`` gives it.
+        words: Options that change the result, as they are written on the command line, with a blank before each.
+        resumed: Whether a part of the numbers is of an earlier run.
         facts: Further entries of the JSON document.
     """
     print(
         table(["what", "target", "measured", "met"], [(r.what, r.target, r.measured, _yes_or_no(r.met)) for r in rows])
     )
+    document = results.document_of([asdict(row) for row in rows], words, args.quick, resumed)
     if args.json:
-        document = {
-            "experiment": experiment_name(),
-            "quick": args.quick,
-            "rows": [asdict(row) for row in rows],
-            "machine": machine(),
-            **facts,
-        }
-        partial_file = args.json.with_name(f".{args.json.name}.part")
-        partial_file.write_text(json.dumps(document, indent=1, default=_to_json) + "\n", encoding="utf-8")
-        os.replace(partial_file, args.json)
+        results.write(args.json, document | facts)
+    if args.record:
+        say(f"recorded in {results.record(document)}")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -278,15 +269,5 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def machine() -> dict[str, Any]:
-    """Return the processor, the number of cores, and the versions of Python and of the main packages."""
-    versions = {package: version(package) for package in ("jax", "diffrax", "equinox", "numpy", "scipy")}
-    return {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()} | versions
-
-
 def _yes_or_no(met: bool | None) -> str:
     return "-" if met is None else "yes" if met else "no"
-
-
-def _to_json(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)

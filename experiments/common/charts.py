@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,9 @@ _COLOURS = (
     "#999999",
 )
 _INCHES = (7.6, 4.2)
+_PANEL_INCHES = 3.0  # height of one of several panels
 # Settings of matplotlib; a fixed salt of the names in a file keeps equal charts equal.
-_STYLE = {
+STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "smajax",
     "font.family": "sans-serif",
@@ -110,34 +112,45 @@ def _page(chart: Chart) -> str:
 
 def write_svg(chart: Chart, path: Path) -> None:
     """Write a chart as an SVG file, with text as text; the same chart gives the same file."""
+    write_panels([chart], path)
+
+
+def write_panels(charts: Sequence[Chart], path: Path) -> None:
+    """Write charts one below the other as an SVG file."""
     import matplotlib
     from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        size = _INCHES[0], _INCHES[1] if len(charts) == 1 else _PANEL_INCHES * len(charts)
+        figure = Figure(figsize=size, layout="constrained")
+        for axes, chart in zip(np.ravel(figure.subplots(len(charts), squeeze=False)), charts, strict=True):
+            _draw_axes(axes, chart)
+        figure.savefig(path, format="svg", metadata={"Date": None})
+
+
+def _draw_axes(axes: Any, chart: Chart) -> None:
     from matplotlib.ticker import FuncFormatter
 
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=_INCHES, layout="constrained")
-        axes = figure.subplots()
-        for curve, colour in zip(chart.curves, _colours(len(chart.curves)), strict=True):
-            axes.plot(
-                curve.x,
-                curve.y,
-                color=colour,
-                label=curve.name,
-                linestyle="--" if curve.dashed else "-",
-                drawstyle="steps-post" if curve.steps else "default",
-            )
-        axes.set_title(chart.title, loc="left")
-        axes.set(
-            xlabel=chart.x,
-            ylabel=chart.y,
-            xscale="log" if chart.log_x else "linear",
-            yscale="log" if chart.log_y else "linear",
+    for curve, colour in zip(chart.curves, _colours(len(chart.curves)), strict=True):
+        axes.plot(
+            curve.x,
+            curve.y,
+            color=colour,
+            label=curve.name,
+            linestyle="--" if curve.dashed else "-",
+            drawstyle="steps-post" if curve.steps else "default",
         )
-        for axis, is_log in ((axes.xaxis, chart.log_x), (axes.yaxis, chart.log_y)):
-            if is_log:
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.legend()
-        figure.savefig(path, format="svg", metadata={"Date": None})
+    axes.set_title(chart.title, loc="left")
+    axes.set(
+        xlabel=chart.x,
+        ylabel=chart.y,
+        xscale="log" if chart.log_x else "linear",
+        yscale="log" if chart.log_y else "linear",
+    )
+    for axis, is_log in ((axes.xaxis, chart.log_x), (axes.yaxis, chart.log_y)):
+        if is_log:
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.legend()
 
 
 def _colours(count: int) -> list[str]:
@@ -180,7 +193,7 @@ def draw_bars(groups: Sequence[Bars], folder: Path, name: str, label: str) -> Pa
 
     heights = [_TITLE_INCHES + _ROW_INCHES * len(group.names) for group in groups]
     path = folder / f"{name}.svg"
-    with matplotlib.rc_context(_STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True, "font.size": 8}):
+    with matplotlib.rc_context(STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True, "font.size": 8}):
         figure = Figure(figsize=(_INCHES[0], sum(heights) + 0.3), layout="constrained")
         for axes, group in zip(
             np.ravel(figure.subplots(len(groups), 1, height_ratios=heights, squeeze=False)), groups, strict=True

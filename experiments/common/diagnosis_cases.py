@@ -68,9 +68,10 @@ def report_cases(
         run: Makes the recordings of a case and diagnoses them.
         rows: Makes the table from the facts.
     """
+    resumed = bool(read_cases(args.out))
     facts = collect_facts(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
     options = "" if args.quick or args.seeds == default_seeds else f" --seeds {args.seeds}"
-    finish(rows(facts), args, cases=facts, words=options)
+    finish(rows(facts), args, words=options, resumed=resumed, cases=facts)
 
 
 def verdict_facts(case: Case, diagnosis: Diagnosis) -> Facts:

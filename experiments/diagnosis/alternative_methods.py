@@ -294,9 +294,8 @@ def main() -> None:
         sys.exit('sparse regression needs pysindy: pip install "smajax[rivals]"')
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
     answers: dict[str, list[tuple[str, Answer]]] = {name: [] for name in METHODS}
-    done = {
-        (c["seed"], c["case"], c["method"]): Answer(c["named"], c["ratio"], c["seconds"]) for c in read_cases(args.out)
-    }
+    done_before = read_cases(args.out)
+    done = {(c["seed"], c["case"], c["method"]): Answer(c["named"], c["ratio"], c["seconds"]) for c in done_before}
     for seed in range(1 if args.quick else args.seeds):
         for key in CASES[:1] if args.quick else CASES:
             rng = np.random.default_rng([seed, 7, *key.encode()])
@@ -327,7 +326,7 @@ def main() -> None:
         facts = [{"case": key, **dataclasses.asdict(a)} for key, a in method_answers]
         rows.append(Row(name, "-", text, None, {"cases": facts}))
     options = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
-    finish(rows, args, words=options)
+    finish(rows, args, words=options, resumed=bool(done_before))
 
 
 if __name__ == "__main__":

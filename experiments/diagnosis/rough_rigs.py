@@ -34,7 +34,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, arguments, finish, refuse, say, table
+from experiments.common.base import Row, arguments, finish, read_cases, refuse, say, table
 from experiments.common.diagnosis_cases import INTERCHANGEABLE, Case, Facts, collect_facts, count_row
 from experiments.common.rough_recordings import EFFECTS, KINDS, PAIRS, RoughRig, draw_rig, draw_strengths, record
 
@@ -44,6 +44,7 @@ import smajax as sma
 from smajax.diagnosis.structure import VARIANTS
 from smajax.errors import NumericsError
 
+SEEDS = 5  # of each effect, by default
 SPLITS = {0: "counted on", 1: "chosen on"}  # by the parity of the seed
 FIT = "one-cell fit"
 UNITS = {"mm": 1e-3, "deg": math.pi / 180.0}
@@ -288,7 +289,7 @@ def read_arguments() -> argparse.Namespace:
     """Read the command line."""
     more: dict[str, dict[str, Any]] = {
         "--only": {"choices": list(KINDS), "action": "append", "help": "a kind of rig; all by default"},
-        "--seeds": {"type": int, "default": 5, "help": "seeds of each effect; with nothing hidden, twice as many"},
+        "--seeds": {"type": int, "default": SEEDS, "help": "seeds of each effect; with nothing hidden, twice as many"},
         "--case": {
             "action": "append",
             "help": "hidden effects to run, such as latent-heat, or nothing; all by default",
@@ -299,18 +300,27 @@ def read_arguments() -> argparse.Namespace:
     return arguments(__doc__, quick="one case of each kind, with nothing hidden", more=more)
 
 
+def option_words(args: argparse.Namespace) -> str:
+    """Return the options that are not the usual ones, as they are written on the command line."""
+    options = {"only": args.only, "case": args.case, "line": args.line}
+    words = "".join(f" --{name} {value}" for name, values in options.items() for value in values or ())
+    return words + f" --seeds {args.seeds}" * (args.seeds != SEEDS) + " --fits" * args.fits
+
+
 def main() -> None:
     """Run all cases and print the tables."""
     args = read_arguments()
     kinds, lines = args.only or list(KINDS), read_lines(args.line)
     chosen = (c for c in cases(kinds, args.seeds, args.quick, args.fits) if not args.case or c[1] in args.case)
+    resumed = bool(read_cases(args.out))
     facts = collect_facts(chosen, lines, run, args.out)
     rows = fit_rows(facts, kinds) if not args.case or "nothing" in args.case else []
     print(table(["what", "target", "measured"], [(r.what, r.target, r.measured) for r in rows]), end="\n\n")
     diagnoses = [c for c in facts if not c["group"].endswith(FIT)]
     if diagnoses:
         print(case_table(diagnoses), end="\n\n")
-    finish([*rows, *total_rows(diagnoses, kinds)], args, cases=facts, lines=lines)
+    words = option_words(args)
+    finish([*rows, *total_rows(diagnoses, kinds)], args, words=words, resumed=resumed, cases=facts, lines=lines)
 
 
 if __name__ == "__main__":

@@ -220,13 +220,14 @@ def main() -> None:
         fitter = ArmFitter(logs, EFFECTS)
         say(f"fitting {len(logs)} logs, pulse 1 and then both pulses")
         first = fitter.fit("fitted", (), starts, hops, steps)[0]
-        finish(predict_course(fitter, logs, fitter.fit("whole", (), 1, hops, steps, before=first)[0], course), args)
+        rows = predict_course(fitter, logs, fitter.fit("whole", (), 1, hops, steps, before=first)[0], course)
+        finish(rows, args, words=f" --predict {args.predict.name}")
         return
     has_targets = args.data.name == "bu-softlimb" and not args.quick
     logs = logs[:1] if args.quick else logs
     fitter = ArmFitter(logs, EFFECTS)
     if args.search:
-        finish(search(fitter, starts, hops // 4, steps), args)
+        finish(search(fitter, starts, hops // 4, steps), args, words=" --search")
         return
     say("fitting the base model")
     base = fitter.fit("fitted", EFFECTS, starts if args.quick else BASE_STARTS, 0, steps)[0]

@@ -24,6 +24,7 @@ convection and capacity.
 from __future__ import annotations
 
 import dataclasses
+import shlex
 import sys
 from pathlib import Path
 
@@ -75,6 +76,7 @@ observe = ["temperature"]
 noise = {{ temperature = "0.25 K" }}
 """
 
+USUAL = DATA / "dongsus-pwm-temperature" / "0331 test1.csv"
 PERIOD = 0.2  # s between rows that are fitted
 QUANTUM = 0.25  # K, the steps of the thermocouple's converter
 FLOOR = QUANTUM / np.sqrt(12)  # K, scatter of a value that is rounded to such steps
@@ -371,7 +373,7 @@ def main() -> None:
             "log": {
                 "nargs": "?",
                 "type": Path,
-                "default": DATA / "dongsus-pwm-temperature" / "0331 test1.csv",
+                "default": USUAL,
                 "metavar": "LOG",
                 "help": "the log",
             },
@@ -391,7 +393,7 @@ def main() -> None:
     dropped = "; ".join(n for n in parts.notes if "dropped" in n) or "none left out"
     steps = step_row(parts.whole.time, parts.whole.channels["temperature"], parts.first, QUANTUM, "degC")
     rows = [Row("rows", "-", dropped, None), steps, *rounds, *report_rows(fitter, parts, base, best)]
-    finish(rows, args)
+    finish(rows, args, words="" if args.log == USUAL else f" {shlex.quote(args.log.name)}")
 
 
 if __name__ == "__main__":

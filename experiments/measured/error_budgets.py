@@ -279,7 +279,7 @@ def main() -> None:
     rows = [row for budget in budgets for row in budget.rows()]
     words = "".join(f" {name}" for name in args.names)
     facts = {"budgets": [dataclasses.asdict(budget) for budget in budgets], "details": len(details)}
-    finish([*rows, *details], args, words=words, whole=True, **facts)
+    finish([*rows, *details], args, words=words, resumed=bool(args.merge), **facts)
 
 
 def bars(budget: Budget) -> Bars:

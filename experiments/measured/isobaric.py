@@ -367,11 +367,8 @@ def main() -> None:
         if args.out:
             pictures(levels, level, residual, args.out)
     is_usual = (args.data, args.holdout) == (DATA / USUAL[0], USUAL[1])
-    finish(
-        rows,
-        args,
-        words="" if is_usual else f" --data {args.data.resolve().name} --holdout {args.holdout}",
-    )
+    words = "" if is_usual else f" --data {args.data.resolve().name} --holdout {args.holdout}"
+    finish(rows, args, words=words + " --each" * args.each)
 
 
 def _error_row(what: str, target: float | None, train: float, held_out: float) -> Row:

@@ -339,7 +339,7 @@ def main() -> None:
         rows += left_out_rows(args.originals, args.quick)
     elif args.sample != 1:
         say(f"{args.originals} is not there: the originals are left out")
-    finish(rows, args)
+    finish(rows, args, words=f" --sample {args.sample}" if args.sample else "")
 
 
 if __name__ == "__main__":

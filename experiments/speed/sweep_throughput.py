@@ -92,7 +92,7 @@ def main() -> None:
         )
         sweep = read_sweep(folder / "sweep.toml")
         rows = sweep_rows(sweep, folder, count, args.quick)
-    finish(rows, args, designs=count, backend=jax.default_backend(), cores=count_cores())
+    finish(rows, args, designs=count)
 
 
 def scaling_rows(

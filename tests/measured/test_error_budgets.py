@@ -7,7 +7,6 @@ import math
 from experiments.common.base import Row
 from experiments.common.budgets import CELLS, GRAINS, Budget, Entry, with_grains
 from experiments.common.charts import draw_bars
-from experiments.docs.benchmark_tables import block
 from experiments.measured.error_budgets import bars, guarneros_text, read_budgets
 
 import pytest
@@ -37,7 +36,6 @@ def document(budget: Budget, words: str, more: list[Row]) -> dict:
     return {
         "experiment": "measured/error_budgets",
         "quick": False,
-        "whole": True,
         "words": words,
         "rows": rows,
         "budgets": [dataclasses.asdict(budget)],
@@ -65,12 +63,6 @@ def test_a_file_of_another_experiment_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         read_budgets([path])
     assert "other.json has no budgets: name files that this experiment wrote by --json" in capsys.readouterr().err
-
-
-def test_the_documentation_gets_the_whole_table():
-    text = block(document(BUDGET, "", []))
-    assert text.count("cycles, strain") == 4
-    assert block(document(BUDGET, "", []) | {"whole": False}).count("cycles, strain") == 1
 
 
 def test_the_picture_has_the_errors_over_the_naive_one(tmp_path):

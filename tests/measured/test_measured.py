@@ -30,7 +30,7 @@ SHARED_PLUMBING = "common"
 NAMES = sorted(
     str(path.relative_to(EXPERIMENTS).with_suffix(""))
     for path in EXPERIMENTS.rglob("[a-z]*.py")
-    if SHARED_PLUMBING not in path.parts and path.stem != "benchmark_tables"
+    if SHARED_PLUMBING not in path.parts
 )
 
 

@@ -68,6 +68,7 @@ TEXT_FILES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
+    ROOT / "experiments" / "README.md",
     *sorted((ROOT / "smajax").rglob("*.md")),
     *sorted((ROOT / "smajax").rglob("*.json")),
     *sorted((ROOT / "data").glob("*/*.toml")),

@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 import smajax
-from docs.generate import api, bibliography, keys, outputs, pages
+from docs.generate import api, bibliography, effect_equations, keys, outputs, pages
 from smajax.app.commands.explain import topics
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, rig_schema, rig_structure
@@ -73,6 +73,35 @@ def test_the_catalogue_has_a_section_for_each_effect():
         section = text.partition(f"\n## {key} ")[2].partition("\n## ")[0]
         assert effect.remedy and effect.remedy in section
         assert f"[effects.{key}]" in section and "`strength`" in section
+
+
+def test_each_effect_has_an_equation_that_a_browser_shows():
+    converter = pytest.importorskip("latex2mathml.converter", reason="the optional dependencies docs are missing")
+    assert set(effect_equations.EQUATIONS) == set(catalogue())
+    for key, formula in effect_equations.EQUATIONS.items():
+        assert "\\" not in converter.convert(formula), key
+        assert re.search(r"(?<!\\)\bs\b", formula), f"{key}: the strength s is not in it"
+    assert effect_equations.effect_equations().count("| [") == len(catalogue())
+
+
+def test_pictures_have_names_and_units_on_their_axes(tmp_path):
+    pytest.importorskip("matplotlib", reason="the optional dependencies experiments are not installed")
+    from docs.generate import pictures
+
+    pictures.main(tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert len(names) == 5 and not set(names) - {path.name for path in pictures.IMAGES.iterdir()}
+    charts = [path.read_text("utf-8") for path in tmp_path.iterdir() if "tick" in path.read_text("utf-8")]
+    assert len(charts) == 3
+    for text in charts:
+        labels = re.findall(r">([^<>]+ \[[^<>\]]+\])</text>", text)
+        assert len(labels) == 2 * text.count('id="axes_'), labels
+
+
+def test_each_picture_is_on_a_page():
+    texts = [path.read_text("utf-8") for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]]
+    shown = {name for text in texts for name in re.findall(r"images/([\w-]+\.svg)", text)}
+    assert shown == {path.name for path in (ROOT / "docs" / "images").iterdir()}
 
 
 def test_each_entry_of_the_bibliography_is_plain_text():
