@@ -14,7 +14,8 @@ import numpy as np
 from smajax.errors import InputError, suggestion
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
-from smajax.recordings.readers.mat5 import Mat5Variables
+from smajax.recordings.readers.mat4 import Mat4Variables
+from smajax.recordings.readers.mat5 import Mat5Variables, is_version_5
 from smajax.recordings.readers.mat73 import Mat73Variables, is_version_73
 from smajax.recordings.readers.mat_variables import MatVariable, MatVariables, cells_error, object_error
 
@@ -34,7 +35,7 @@ class MatTable(Table):
 
     def __init__(self, path: Path, options: ReadOptions):
         self.path = path
-        self._file: MatVariables = Mat73Variables(path) if is_version_73(path) else Mat5Variables(path)
+        self._file: MatVariables = _open(path)
         self._matrix = ""
         variables = self._without_units(self._file.children())
         if not variables:
@@ -211,3 +212,10 @@ class MatTable(Table):
             raise row_error(f"{self.path}: row {bad[0] + 1}, column '{name}': the value is not finite")
         numbers[bad] = np.nan
         return numbers
+
+
+def _open(path: Path) -> MatVariables:
+    """Return the variables of a file of any version."""
+    if is_version_73(path):
+        return Mat73Variables(path)
+    return Mat5Variables(path) if is_version_5(path) else Mat4Variables(path)

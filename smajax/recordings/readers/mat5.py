@@ -1,195 +1,329 @@
-"""Variables of MATLAB files up to version 7.2, whose values scipy reads.
+"""Variables of MATLAB files of versions 5 to 7.2, from their data elements (MATLAB's "MAT-File Format", level 5).
 
-The list of variables is read here: scipy's reader of damaged files may crash, and it cannot list a file with objects.
+The file is read here and not by scipy, whose reader ends the process where a damaged file has a wrong type in a data
+element. Nothing is read outside of the bytes of an element, and nothing is inflated beyond the length that it states;
+tests/unit/recordings/test_matlab.py compares the values with scipy's.
 """
 
+import contextlib
+import dataclasses
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, final
+from typing import TypeAlias, final
 
 import numpy as np
 
 from smajax.errors import InputError, first_line
-from smajax.recordings.readers.mat_variables import Kind, MatVariable, MatVariables
+from smajax.recordings.readers.base import MEMORY_LIMIT
+from smajax.recordings.readers.mat_variables import DAMAGED, Kind, MatVariable, MatVariables
 
-# Types of the data elements of a version 5 file (MATLAB's "MAT-File Format").
+# Types of data elements: those of numbers as types of NumPy, and those of texts as encodings.
+_NUMBER_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_ENCODINGS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+_INT8, _UINT8, _INT32, _UINT32, _UTF8 = 1, 2, 5, 6, 16
 _MATRIX = 14
 _COMPRESSED = 15
-_ELEMENTS = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, _MATRIX, _COMPRESSED, 16, 17, 18}
-# Classes of arrays in the same format; 17 is that of objects such as timetables, which the format leaves undescribed.
+_NAME_TYPES = (_INT8, _UINT8, _UTF8)
+# Classes of arrays; 17 is that of objects such as timetables, which the format leaves undescribed.
 _CLASSES = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 6: "double", 7: "single", 8: "int8"}
 _CLASSES |= {9: "uint8", 10: "int16", 11: "uint16", 12: "int32", 13: "uint32", 14: "int64", 15: "uint64"}
 _CLASSES |= {16: "function", 17: "opaque"}
-_OPAQUE = 17
 _KINDS: dict[str, Kind] = {"char": "text", "struct": "struct", "object": "object", "opaque": "object"}
 _NUMBERS = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 # Bit of the flags of an array with imaginary parts.
 _COMPLEX = 0x0800
 # Bytes of the header of such a file, which ends with its version and byte order.
 _HEADER_BYTES = 128
-# Bytes of a variable that are unpacked for its flags, shape and names: at most 63 characters a name.
+# Bytes of a variable that are inflated for its flags, shape and name: at most 63 characters a name.
 _HEAD_BYTES = 512
+# Bytes of the padding that may follow a compressed element.
+_PADDING = 8
+# Largest ratio to which deflate can compress (zlib's "Technical Details").
+_MAX_RATIO = 1032
+# Bytes in memory per byte of a variable that is inflated: the bytes and the values.
+_COPIES = 2
+# Structs in structs, far above what recordings have.
+_MAX_DEPTH = 32
+
+Bytes: TypeAlias = bytes | mmap.mmap
 
 
 @final
 class Mat5Variables(MatVariables):
-    """Variables of a file up to version 7.2.
+    """Variables of a file of versions 5 to 7.2.
 
     Args:
         path: The file.
+
+    Raises:
+        InputError: If it is damaged.
     """
 
     def __init__(self, path: Path):
         self._path = path
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            if not is_intact(data):
-                problem = "the file is not readable as MATLAB data (it is damaged)"
-                raise InputError(f"{path}: {problem}: save it again with '-v7'")
-            order = _byte_order(data)
-            try:
-                self._variables = dict(_heads(data, order)) if order is not None else self._old_variables()
-            except (struct.error, zlib.error, UnicodeDecodeError, IndexError) as error:
-                raise _unreadable(path, error) from None
-        self._structs: dict[str, Any] = {}
+        self._variables: dict[str, MatVariable] = {}
+        self._spans: dict[str, _Element] = {}
+        self._structs: dict[str, tuple[bytes, _Array]] = {}
+        with self._bytes() as data:
+            self._order: str = _byte_order(data) or "<"
+            at = _HEADER_BYTES
+            while at < len(data):
+                element = _element(data, self._order, at, len(data))
+                name, variable = self._head(data, element)
+                if name:  # the workspace of functions and the data of objects have none
+                    self._variables[name], self._spans[name] = variable, element
+                at = element.following
 
     def children(self, name: str = "") -> dict[str, MatVariable]:
         """Return the variables of the file, or the fields of a struct."""
         if not name:
             return self._variables
-        fields = self._value(name)
-        names = fields.dtype.names or ()
-        return {key: _described(fields[key].item() if fields.shape == () else fields[key]) for key in names}
+        _, array = self._array(name)
+        return {key: field.variable for key, field in array.fields.items()}
 
     def values(self, name: str) -> np.ndarray:
         """Return the values of a variable with real numbers."""
-        return np.asarray(self._value(name))
+        data, array = self._array(name)
+        with self._refusing():
+            shape, numbers = array.variable.shape, array.numbers
+            dtype = np.dtype(self._order + _NUMBER_TYPES[numbers.kind])
+            count = numbers.length // dtype.itemsize
+            flat = np.frombuffer(data, dtype, count, numbers.begin) if count else np.empty(0)
+            return flat.reshape(shape, order="F")
 
     def text(self, name: str) -> str:
         """Return the value of a variable with a text."""
-        return str(self._value(name)).strip()
+        data, array = self._array(name)
+        with self._refusing():
+            numbers = array.numbers
+            encoding = _ENCODINGS[numbers.kind]
+            if encoding not in ("latin-1", "utf-8"):
+                encoding += "-le" if self._order == "<" else "-be"
+            return data[numbers.begin : numbers.begin + numbers.length].decode(encoding).strip()
 
-    def _value(self, name: str) -> np.ndarray:
-        """Return a variable as scipy reads it, without dimensions of length 1."""
+    def _head(self, data: Bytes, element: "_Element") -> tuple[str, MatVariable]:
+        """Return name and description of a variable; all of one that is not compressed is checked."""
+        if element.kind == _MATRIX:
+            array = _read_array(data, self._order, element)
+            return array.name, array.variable
+        if element.kind != _COMPRESSED:
+            raise ValueError(f"it has a data element of type {element.kind}")
+        head = zlib.decompressobj().decompress(data[element.begin : element.end], _HEAD_BYTES)
+        inner = _element(head, self._order, 0)
+        if inner.kind != _MATRIX:
+            raise ValueError(f"it has a compressed data element of type {inner.kind}")
+        name, variable, _, _ = _read_head(head, self._order, inner)
+        return name, variable
+
+    def _array(self, name: str) -> tuple[bytes, "_Array"]:
+        """Return the bytes of the variable that has a name like ``run.current``, and where its parts are in them."""
         first, *fields = name.split(".")
-        if first not in self._structs:
-            value = self._call_scipy("loadmat", variable_names=[first], squeeze_me=True)[first]
-            if not fields and np.asarray(value).dtype.names is None:
-                return np.asarray(value)
-            self._structs[first] = np.asarray(value)
-        value = self._structs[first]
+        if first in self._structs:
+            content, array = self._structs[first]
+        else:
+            with self._bytes() as data:
+                content = self._content(data, self._spans[first])
+                array = _read_array(content, self._order, _element(content, self._order, 0, len(content)))
+                if array.variable != self._variables[first]:
+                    raise ValueError("it changes while it is read")
+            if array.variable.kind == "struct":
+                self._structs[first] = content, array
         for field in fields:
-            value = np.asarray(value[field].item() if value[field].shape == () else value[field])
-        return value
+            array = array.fields[field]
+        return content, array
 
-    def _old_variables(self) -> dict[str, MatVariable]:
-        """Return the variables of a file of version 4."""
-        return {
-            name: MatVariable("text" if kind == "char" else "numbers", shape, kind)
-            for name, shape, kind in self._call_scipy("whosmat")
-        }
+    def _content(self, data: Bytes, element: "_Element") -> bytes:
+        """Return the data element of a variable, which is inflated if it is compressed."""
+        if element.kind != _COMPRESSED:
+            return data[element.start : element.following]
+        packed = data[element.begin : element.end]
+        inflater = zlib.decompressobj()
+        head = inflater.decompress(packed, _PADDING)
+        length = _PADDING + _element(head, self._order, 0).length
+        if length * _COPIES > MEMORY_LIMIT:
+            size, limit = length * _COPIES / 2**30, MEMORY_LIMIT / 2**30
+            problem = f"a variable needs {size:.1f} GiB to read, above the limit of {limit:.3g} GiB"
+            raise InputError(f"{self._path}: {problem}: save vectors instead of a struct, or fewer samples")
+        if length > _MAX_RATIO * len(packed) + _PADDING:
+            raise ValueError("a compressed variable is shorter than it states")
+        content = head + inflater.decompress(inflater.unconsumed_tail, length)
+        if len(content) < length or not inflater.eof:
+            raise ValueError("a compressed variable has another length than it states")
+        return content
 
-    def _call_scipy(self, function: str, **options: Any) -> Any:
-        import scipy.io
+    @contextlib.contextmanager
+    def _bytes(self) -> Iterator[mmap.mmap]:
+        """Open the file."""
+        with (
+            self._refusing(),
+            self._path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            yield data
 
+    @contextlib.contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Refuse a damaged file."""
         try:
-            return getattr(scipy.io, function)(str(self._path), **options)
-        except Exception as error:  # a damaged file raises one of a dozen types, from struct.error to zlib.error
-            raise _unreadable(self._path, error) from None
+            yield
+        except InputError:
+            raise
+        except (struct.error, zlib.error, ValueError, LookupError) as error:
+            is_said = type(error) in (ValueError, zlib.error)
+            problem = f"the file is not readable as MATLAB data ({first_line(error) if is_said else DAMAGED})"
+            raise InputError(f"{self._path}: {problem}: save it again with '-v7'") from None
 
 
-def is_intact(data: bytes | mmap.mmap) -> bool:
-    """Return whether the data elements of a version 5 file have valid types and nest; scipy's reader may crash if not.
+@dataclasses.dataclass(frozen=True)
+class _Element:
+    """A data element.
 
-    A data element has 4 + 4 bytes for type and length, or 2 + 2 for a small one, and is padded to a multiple of 8 bytes
-    (MATLAB's "MAT-File Format", level 5).
+    Attributes:
+        kind: Its type.
+        start: Where its tag begins.
+        begin: Where its data begin.
+        length: Bytes of its data.
+        following: Where the next element begins.
+    """
+
+    kind: int
+    start: int
+    begin: int
+    length: int
+    following: int
+
+    @property
+    def end(self) -> int:
+        """Where its data end."""
+        return self.begin + self.length
+
+
+_NOTHING = _Element(9, 0, 0, 0, 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Array:
+    """An array of a file.
+
+    Attributes:
+        name: Its name; empty for a field.
+        variable: What it is.
+        numbers: Element of its real numbers or its text.
+        fields: Fields of a struct; those of an array of structs are cells.
+    """
+
+    name: str
+    variable: MatVariable
+    numbers: _Element = _NOTHING
+    fields: Mapping[str, "_Array"] = dataclasses.field(default_factory=dict)
+
+
+def is_version_5(path: Path) -> bool:
+    """Return whether a file is one of MATLAB of versions 5 to 7.2.
 
     Args:
-        data: Bytes of the file; those of another version are intact.
+        path: The file.
     """
-    order = _byte_order(data)
-    if order is None:
-        return True
-    spans = [(_HEADER_BYTES, len(data))]
-    while spans:
-        at, end = spans.pop()
-        while at < end:
-            if at + 8 > end:
-                return False
-            kind, begin, length, following = _element(data, order, at)
-            if kind not in _ELEMENTS or begin + length > end or (begin == at + 4 and length > 4):
-                return False
-            if kind == _MATRIX:
-                spans.append((begin, begin + length))
-            at = following
-    return True
+    with path.open("rb") as file:
+        return _byte_order(file.read(_HEADER_BYTES)) is not None
 
 
-def _byte_order(data: bytes | mmap.mmap) -> str | None:
-    """Return the byte order of a file of version 5 for ``struct``; ``None`` for another version."""
+def _byte_order(data: Bytes) -> str | None:
+    """Return the byte order of a file of versions 5 to 7.2 for ``struct``; ``None`` for another file."""
     order = {b"IM": "<", b"MI": ">"}.get(bytes(data[126:128]))
-    return order if data[124:126] in (b"\0\1", b"\1\0") else None
+    return order if data[124:126] == {"<": b"\0\1", ">": b"\1\0"}.get(order or "") else None
 
 
-def _element(data: bytes | mmap.mmap, order: str, at: int) -> tuple[int, int, int, int]:
-    """Return type, begin and length of a data element, and where the next one begins."""
+def _element(data: Bytes, order: str, at: int, end: int | None = None) -> _Element:
+    """Return the data element at a place; one that does not end before ``end`` is damaged."""
     kind, length = struct.unpack_from(order + "II", data, at)
-    if kind >> 16:
-        return kind & 0xFFFF, at + 4, kind >> 16, at + 8
-    padding = -length % 8 if kind != _COMPRESSED else 0
-    return kind, at + 8, length, at + 8 + length + padding
+    if kind >> 16:  # a small element, with its data in the tag
+        element = _Element(kind & 0xFFFF, at, at + 4, kind >> 16, at + 8)
+    else:
+        padding = -length % 8 if kind != _COMPRESSED else 0
+        element = _Element(kind, at, at + 8, length, at + 8 + length + padding)
+    if end is not None and (element.end > min(end, element.following) or element.following > end + _PADDING):
+        raise ValueError(DAMAGED)
+    return element
 
 
-def _heads(data: mmap.mmap, order: str) -> Iterator[tuple[str, MatVariable]]:
-    """Yield name and description of each variable of a file of version 5."""
-    at = _HEADER_BYTES
-    while at < len(data):
-        kind, begin, length, following = _element(data, order, at)
-        if kind == _COMPRESSED:
-            head = zlib.decompressobj().decompress(data[begin : begin + length], _HEAD_BYTES)
-            kind, begin, _, _ = _element(head, order, 0)
-        else:
-            head, begin = bytes(data[begin : begin + min(length, _HEAD_BYTES)]), 0
-        if kind == _MATRIX and begin < len(head):
-            name, variable = _head(head[begin:], order)
-            if name:  # the workspace of functions and the data of objects have none
-                yield name, variable
-        at = following
+def _expect(element: _Element, kinds: tuple[int, ...], length: int | None = None) -> _Element:
+    """Return a data element that has one of some types, and a length."""
+    if element.kind not in kinds or (length is not None and element.length != length):
+        raise ValueError(DAMAGED)
+    return element
 
 
-def _head(head: bytes, order: str) -> tuple[str, MatVariable]:
-    """Return name and description in the first data elements of a variable: flags, shape, name."""
-    _, begin, _, at = _element(head, order, 0)
-    (flags,) = struct.unpack_from(order + "I", head, begin)
+def _read_head(data: Bytes, order: str, array: _Element) -> tuple[str, MatVariable, int, int]:
+    """Return name and description of an array, its flags, and where its content begins."""
+    end = min(array.end, len(data))
+    flags_element = _expect(_element(data, order, array.begin, end), (_UINT32,), 8)
+    (flags,) = struct.unpack_from(order + "I", data, flags_element.begin)
     class_name = _CLASSES.get(flags & 0xFF, "unknown")
-    shape: tuple[int, ...] = ()
-    if flags & 0xFF != _OPAQUE:
-        _, begin, length, at = _element(head, order, at)
-        shape = struct.unpack_from(f"{order}{length // 4}i", head, begin)
+    at = flags_element.following
+    shape: tuple[int, ...] = (1, 1)
+    if class_name != "opaque":
+        dimensions = _expect(_element(data, order, at, end), (_INT32, _UINT32))
+        shape = struct.unpack_from(f"{order}{dimensions.length // 4}i", data, dimensions.begin)
+        if len(shape) < 2 or min(shape) < 0 or dimensions.length % 4:
+            raise ValueError("an array has no shape")
+        at = dimensions.following
     texts = []
-    for _ in range(3 if flags & 0xFF == _OPAQUE else 1):
-        _, begin, length, at = _element(head, order, at)
-        texts.append(head[begin : begin + length].decode("latin-1"))
-    if flags & 0xFF == _OPAQUE:
-        return texts[0], MatVariable("object", (1, 1), texts[2])
+    for _ in range(3 if class_name == "opaque" else 1):
+        element = _expect(_element(data, order, at, end), _NAME_TYPES)
+        texts.append(bytes(data[element.begin : element.end]).decode(_ENCODINGS[element.kind], "replace"))
+        at = element.following
+    if class_name == "opaque":
+        return texts[0], MatVariable("object", shape, texts[2]), flags, at
     is_real = class_name in _NUMBERS and not flags & _COMPLEX
     name = "complex" if flags & _COMPLEX else class_name
-    return texts[0], MatVariable("numbers" if is_real else _KINDS.get(class_name, "other"), shape, name)
+    variable = MatVariable("numbers" if is_real else _KINDS.get(class_name, "other"), shape, name)
+    return texts[0], variable, flags, at
 
 
-def _described(value: Any) -> MatVariable:
-    """Return what a field of a struct is, as scipy reads it."""
-    array = np.asarray(value)
-    name = "cell" if array.dtype == object else array.dtype.name
-    if array.dtype.names is not None:
-        is_object = type(value).__name__ in ("MatlabObject", "MatlabOpaque")
-        return MatVariable("object" if is_object else "struct", array.shape, "object" if is_object else "struct")
-    kind: Kind = "numbers" if array.dtype.kind in "iuf" else "text" if array.dtype.kind in "US" else "other"
-    return MatVariable(kind, array.shape, name)
+def _read_array(data: Bytes, order: str, array: _Element, depth: int = 0) -> _Array:
+    """Return an array, whose data elements are checked if their values may be read."""
+    _expect(array, (_MATRIX,))
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"structs are nested more than {_MAX_DEPTH} times")
+    if not array.length:  # a field without a value
+        return _Array("", MatVariable("numbers", (0, 0), "double"))
+    name, variable, _, at = _read_head(data, order, array)
+    if variable.kind == "numbers" and at == array.end and not variable.size:
+        return _Array(name, variable)
+    if variable.kind == "numbers":
+        numbers = _expect(_element(data, order, at, array.end), tuple(_NUMBER_TYPES))
+        if numbers.length != variable.size * int(_NUMBER_TYPES[numbers.kind][1]):
+            raise ValueError(f"an array has another number of values than its shape {variable.shape}")
+        return _Array(name, variable, numbers)
+    if variable.kind == "text":
+        return _Array(name, variable, _expect(_element(data, order, at, array.end), tuple(_ENCODINGS)))
+    if variable.kind == "struct":
+        return _Array(name, variable, fields=_read_fields(data, order, array.end, at, variable, depth))
+    return _Array(name, variable)
 
 
-def _unreadable(path: Path, error: Exception) -> InputError:
-    problem = f"the file is not readable as MATLAB data ({first_line(error)})"
-    return InputError(f"{path}: {problem}: save it again with '-v7'")
+def _read_fields(data: Bytes, order: str, end: int, at: int, variable: MatVariable, depth: int) -> dict[str, _Array]:
+    """Return the fields of a struct."""
+    length = _expect(_element(data, order, at, end), (_INT32, _UINT32), 4)
+    (characters,) = struct.unpack_from(order + "i", data, length.begin)
+    texts = _expect(_element(data, order, length.following, end), _NAME_TYPES)
+    if characters <= 0 or texts.length % characters:
+        raise ValueError("the names of a struct's fields are damaged")
+    names = [
+        bytes(data[at : at + characters]).partition(b"\0")[0].decode("latin-1")
+        for at in range(texts.begin, texts.end, characters)
+    ]
+    fields: dict[str, _Array] = {}
+    at = texts.following
+    for _ in range(variable.size if names else 0):
+        for name in names:
+            element = _element(data, order, at, end)
+            fields[name] = _read_array(data, order, element, depth + 1)
+            at = element.following
+    if variable.size == 1:
+        return fields
+    return dict.fromkeys(names, _Array("", MatVariable("other", variable.shape, "cell")))

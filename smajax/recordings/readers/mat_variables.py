@@ -10,6 +10,9 @@ import numpy as np
 
 from smajax.errors import InputError
 
+# What is said where the bytes of a file do not have its format.
+DAMAGED = "it is damaged"
+
 Kind = Literal["numbers", "text", "struct", "object", "other"]
 
 

@@ -85,13 +85,19 @@ class ParquetTable(Table):
         return [] if batch is None else batch.column(0).to_pylist()
 
     def _read(self, index: int) -> Any:
-        """Return a column of pyarrow."""
+        """Return a column of pyarrow, which in a damaged file may have fewer values than the table has rows."""
+        rows = self._file.metadata.num_rows
         try:
-            return self._file.read(columns=[self._file.schema_arrow.names[index]]).column(0)
+            values = self._file.read(columns=[self._file.schema_arrow.names[index]]).column(0)
+            problem = f"it has {len(values)} values, and the table {rows} rows" if len(values) != rows else ""
+        except MemoryError:
+            raise
         except Exception as error:  # as above: the damage may be in the pages of the column
+            values, problem = None, first_line(error)
+        if problem:
             place = f"{self.path}: column '{self.headers[index]}'"
-            problem = f"the values cannot be read ({first_line(error)})"
-            raise InputError(f"{place}: {problem}: write the file again, or use CSV") from None
+            raise InputError(f"{place}: the values cannot be read ({problem}): write the file again, or use CSV")
+        return values
 
     def _column(self, index: int, lenient: bool) -> np.ndarray:
         import pyarrow

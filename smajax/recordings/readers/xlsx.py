@@ -3,29 +3,20 @@
 Cells with a formula have the stored result.
 """
 
-import io
-import warnings
-import zipfile
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from smajax.errors import InputError, first_line
+from smajax.errors import InputError
 from smajax.recordings.read_options import ReadOptions
-from smajax.recordings.readers.base import (
-    MEMORY_LIMIT,
-    Table,
-    file_sha256,
-    number_error,
-    parse_number,
-    refuse_if_too_large,
-)
+from smajax.recordings.readers.base import Table, file_sha256, number_error, parse_number, refuse_if_too_large
 from smajax.recordings.readers.header_rows import read_header_rows
 from smajax.recordings.readers.sheets import choose_sheets
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
+from smajax.recordings.readers.workbook import Workbook
 
 # Rows that are looked at for headers, units and time stamps, and for whether a sheet is blank.
 _ROWS_LOOKED_AT = 30
@@ -41,12 +32,12 @@ def open_sheets(path: Path, options: ReadOptions) -> list["XlsxTable"]:
     Raises:
         InputError: If the file is not a workbook, or a sheet is missing or has no header.
     """
-    book = _open_book(path)
-    filled = [sheet.title for sheet in book.worksheets if _has_rows(sheet)]
-    names, notes = choose_sheets(path, options, book.sheetnames, filled, "sheet")
+    book = Workbook(path)
+    filled = [name for name in book.names if book.has_rows(name, _ROWS_LOOKED_AT)]
+    names, notes = choose_sheets(path, options, book.names, filled, "sheet")
     tables = []
     for name in names:
-        table = XlsxTable(path, options, book[name], several=len(names) > 1)
+        table = XlsxTable(path, options, book, name, several=len(names) > 1)
         table.notes += notes
         tables.append(table)
     return tables
@@ -62,12 +53,12 @@ def first_rows(path: Path, count: int) -> dict[str, list[list[str]]]:
     Raises:
         InputError: If the file is not a workbook.
     """
-    book = _open_book(path)
+    book = Workbook(path)
     rows = {}
-    with warnings.catch_warnings(action="ignore"):
-        for sheet in filter(_has_rows, book.worksheets):
-            cells = sheet.iter_rows(max_row=count, values_only=True)
-            rows[sheet.title] = [["" if cell is None else str(cell).strip() for cell in row] for row in cells]
+    for name in book.names:
+        if book.has_rows(name, _ROWS_LOOKED_AT):
+            cells = book.rows(name, count=count)
+            rows[name] = [["" if cell is None else str(cell).strip() for cell in row] for row in cells]
     return rows
 
 
@@ -78,19 +69,19 @@ class XlsxTable(Table):
     Args:
         path: The file.
         options: Options of reading.
-        sheet: The sheet.
+        book: The workbook.
+        sheet: Name of the sheet.
         several: Whether several sheets are read, so that messages name this one.
     """
 
-    def __init__(self, path: Path, options: ReadOptions, sheet: Any, *, several: bool = False):
-        self.path: str = f"{path}: sheet '{sheet.title}'" if several else str(path)
+    def __init__(self, path: Path, options: ReadOptions, book: Workbook, sheet: str, *, several: bool = False):
+        self.path: str = f"{path}: sheet '{sheet}'" if several else str(path)
         self._file = path
         self._decimal = options.decimal
-        self._sheet = sheet
-        self.label: str = sheet.title if several else ""
+        self._book, self._sheet = book, sheet
+        self.label: str = sheet if several else ""
         number = options.skip_rows + 1
-        with warnings.catch_warnings(action="ignore"):  # openpyxl warns about extensions of a sheet
-            rows = [list(row) for row in self._rows(min_row=number, max_row=number + _ROWS_LOOKED_AT)]
+        rows = list(book.rows(sheet, number, _ROWS_LOOKED_AT + 1))
         texts = self._header_texts(rows, number, options)
         result = read_header_rows(self.path, number, texts, options)
         self.headers: tuple[str, ...] = result.headers
@@ -101,16 +92,12 @@ class XlsxTable(Table):
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
-        with warnings.catch_warnings(action="ignore"):
-            return self._load(indices, lenient)
-
-    def _load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         columns = [array("d") for _ in indices]
         rows = blank_rows = 0
         width = len(self.headers)
-        for cells in self._rows(min_row=self.first_row, max_col=width):
+        for cells in self._book.rows(self._sheet, self.first_row):
             blank_rows += 1
-            if all(cell is None or cell == "" for cell in cells):
+            if all(cell is None or cell == "" for cell in cells[:width]):
                 continue
             for row_cells in [()] * (blank_rows - 1) + [cells]:
                 numbers = self._numbers(row_cells, self.first_row + rows, indices, lenient)
@@ -143,12 +130,6 @@ class XlsxTable(Table):
             raise InputError(message, code="header-missing", cure=cure)
         return [row[:width] + [""] * (width - len(row)) for row in texts]
 
-    def _rows(self, **limits: int) -> Iterator[tuple[Any, ...]]:
-        try:
-            yield from self._sheet.iter_rows(**limits, values_only=True)
-        except Exception as error:  # as above: a sheet is unpacked and parsed while its rows are read
-            raise _unreadable(self.path, error) from None
-
     def _numbers(self, cells: Sequence[Any], row: int, indices: Sequence[int], lenient: bool) -> list[float]:
         numbers = []
         stripped = [cell.strip() if isinstance(cell, str) else cell for cell in cells] if self.stamps else ()
@@ -166,41 +147,3 @@ class XlsxTable(Table):
                 raise number_error(place, text, self._decimal, first=row == self.first_row)
             numbers.append(np.nan if number is None else number)
         return numbers
-
-
-def _open_book(path: Path) -> Any:
-    """Return the workbook."""
-    try:
-        import openpyxl
-    except ImportError:
-        cure = 'run pip install "smajax[io]", or save the sheet as CSV'
-        raise InputError(f"{path}: Excel files need openpyxl: {cure}") from None
-    try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        fits = unpacked <= MEMORY_LIMIT
-        # A copy in memory, since openpyxl does not close a file that it cannot read.
-        packed = io.BytesIO(path.read_bytes() if fits else b"")
-        with warnings.catch_warnings(action="ignore"):  # openpyxl warns about styles
-            book = openpyxl.load_workbook(packed, read_only=True, data_only=True) if fits else None
-    except Exception as error:  # damaged archives, XML and workbooks raise different types
-        raise _unreadable(path, error) from None
-    if book is None:
-        size, limit = unpacked / 2**30, MEMORY_LIMIT / 2**30
-        problem = f"the workbook unpacks to {size:.1f} GiB, above the limit of {limit:.3g} GiB"
-        raise InputError(f"{path}: {problem}: save the sheet as CSV")
-    return book
-
-
-def _has_rows(sheet: Any) -> bool:
-    """Return whether one of the first rows of a sheet has a cell that is not blank."""
-    try:
-        rows = sheet.iter_rows(max_row=_ROWS_LOOKED_AT, values_only=True)
-        return any(value not in (None, "") for row in rows for value in row)
-    except Exception:  # a damaged sheet is named when it is read
-        return True
-
-
-def _unreadable(path: Path | str, error: Exception) -> InputError:
-    problem = f"the file is not readable as a workbook ({first_line(error)})"
-    return InputError(f"{path}: {problem}: save it again, or as CSV")
