@@ -172,6 +172,8 @@ def _check_recording(
 def _read_table(table: Table, origin: Path | str, name: str, request: _Request) -> list[Recording]:
     """Return the columns of a table as recordings, with all checks of their values."""
     origin = f"{origin}: {table.label_kind} '{table.label}'" if table.label else origin
+    if not table.headers:
+        raise InputError(f"{origin}: there are no columns: record a time and the channels of the rig")
     skipped, selection_notes = select_columns(origin, table, request.mapping, request.ignore, request.options)
     columns = assign_columns(origin, table.headers, request.mapping, request.ignore, table.stamps, skipped)
     require_channels(origin, columns, request.names, request.mapping)

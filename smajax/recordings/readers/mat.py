@@ -36,7 +36,7 @@ class MatTable(Table):
     def __init__(self, path: Path, options: ReadOptions):
         self.path = path
         self._file: MatVariables = _open(path)
-        self._matrix = ""
+        self._matrix: str | None = None
         variables = self._without_units(self._file.children())
         if not variables:
             cure = "save one vector per channel, such as time and current"
@@ -51,6 +51,8 @@ class MatTable(Table):
             raise InputError(message, code="columns-named", cure=cure)
         if name:
             variables = self._without_units(self._file.children(name))
+        if not variables:
+            raise InputError(f"{path}: the struct '{name}' has no fields: save one vector per channel, such as time")
         prefix = f"{name}." if name else ""
         self._vectors = {f"{prefix}{key}": vector for key, vector in variables.items()}
         units = self._units(prefix)
@@ -58,7 +60,7 @@ class MatTable(Table):
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return vectors, or columns of the matrix."""
-        if self._matrix:
+        if self._matrix is not None:
             return self._load_matrix(indices, lenient)
         names = [list(self._vectors)[index] for index in indices]
         refuse_if_too_large(self.path, max((self._vectors[name].size for name in names), default=0), len(names))
@@ -162,7 +164,7 @@ class MatTable(Table):
     def _load_matrix(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         count = self._shape[1] if self._by_rows else self._shape[0]
         refuse_if_too_large(self.path, count, len(self.headers))
-        values = self._file.values(self._matrix).reshape(self._shape)
+        values = self._file.values(self._matrix or "").reshape(self._shape)
         columns = [np.array(values[index] if self._by_rows else values[:, index], float) for index in indices]
         return [self._finite(c, self.headers[i], lenient) for i, c in zip(indices, columns, strict=True)]
 

@@ -73,6 +73,8 @@ class Mat5Variables(MatVariables):
             while at < len(data):
                 element = _element(data, self._order, at, len(data))
                 name, variable = self._head(data, element)
+                if "." in name:
+                    raise ValueError("the name of a variable has a dot")
                 if name:  # the workspace of functions and the data of objects have none
                     self._variables[name], self._spans[name] = variable, element
                 at = element.following
@@ -317,6 +319,8 @@ def _read_fields(data: Bytes, order: str, end: int, at: int, variable: MatVariab
         bytes(data[at : at + characters]).partition(b"\0")[0].decode("latin-1")
         for at in range(texts.begin, texts.end, characters)
     ]
+    if any("." in name for name in names):
+        raise ValueError("the name of a field has a dot")
     fields: dict[str, _Array] = {}
     at = texts.following
     for _ in range(variable.size if names else 0):

@@ -14,6 +14,8 @@ from smajax.recordings.readers.mat_variables import Kind, MatVariable, MatVariab
 _MARK = b"MATLAB 7.3 MAT-file"
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
+# Characters of the longest text that is read, a unit.
+_MAX_TEXT = 2**16
 _KINDS: dict[str, Kind] = {"char": "text", "struct": "struct", "cell": "other"}
 _CLASS_OF_TYPE = {"f": "double", "i": "int64", "u": "uint64"}
 
@@ -46,7 +48,8 @@ class Mat73Variables(MatVariables):
         """Return the variables of the file, or the fields of a struct."""
         with self._open() as file:
             group = file[name.replace(".", "/")] if name else file
-            return {key: _described(item) for key, item in group.items() if not key.startswith("#")}
+            names = [key for key in group if not key.startswith("#")]
+            return {key: _described(_member(group, key)) for key in names}
 
     def values(self, name: str) -> np.ndarray:
         """Return the values of a variable with real numbers."""
@@ -55,7 +58,11 @@ class Mat73Variables(MatVariables):
 
     def text(self, name: str) -> str:
         """Return the value of a variable with a text, which is stored as numbers of characters."""
-        return "".join(chr(number) for number in np.ravel(self.values(name))).strip()
+        with self._open() as file:
+            codes = file[name.replace(".", "/")]
+            if codes.size > _MAX_TEXT:
+                raise ValueError(f"a text has {codes.size} characters")
+            return "".join(chr(int(code)) for code in np.ravel(codes[()].T)).strip()
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -67,11 +74,21 @@ class Mat73Variables(MatVariables):
         try:
             with h5py.File(self._path, "r") as file:
                 yield file
-        except (OSError, RuntimeError, KeyError, ValueError) as error:  # what h5py raises for damaged files
-            if isinstance(error, InputError):
-                raise
+        except InputError:
+            raise
+        except Exception as error:  # h5py raises errors of many types for damaged files
             problem = f"the file is not readable as MATLAB data of version 7.3 ({first_line(error)})"
             raise InputError(f"{self._path}: {problem}: save it again, or with '-v7'") from None
+
+
+def _member(group: Any, key: str) -> Any:
+    """Return a member of a group; one in another file is refused, since that could be of any kind."""
+    import h5py
+
+    item = None if isinstance(group.get(key, getlink=True), h5py.ExternalLink) else group.get(key)
+    if item is None or (isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)):
+        raise ValueError(f"the values of '{key}' are not in the file")
+    return item
 
 
 def _described(item: Any) -> MatVariable:

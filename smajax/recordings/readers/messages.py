@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ _STAMPS = ("stamp", "timestamp")
 _SECONDS = ("sec", "secs")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs")
 _NANOSECONDS_PER_SECOND = 1_000_000_000
+# Largest number of float64: an integer of JSON may be larger.
+_LARGEST = sys.float_info.max
 
 # Keys of the nested parts of a message that lead to a number.
 FieldPath = tuple[str | int, ...]
@@ -60,7 +63,7 @@ def number_at(message: Any, path: FieldPath) -> float:
     """
     for key in path:
         message = _part(message, key)
-    if isinstance(message, int | float | np.number | np.bool_):
+    if isinstance(message, int | float | np.number | np.bool_) and abs(message) <= _LARGEST:
         return float(message)
     return np.nan
 

@@ -90,8 +90,6 @@ class ParquetTable(Table):
         try:
             values = self._file.read(columns=[self._file.schema_arrow.names[index]]).column(0)
             problem = f"it has {len(values)} values, and the table {rows} rows" if len(values) != rows else ""
-        except MemoryError:
-            raise
         except Exception as error:  # as above: the damage may be in the pages of the column
             values, problem = None, first_line(error)
         if problem:

@@ -22,6 +22,8 @@ from smajax.recordings.readers.messages import FieldPath, MessageFile, header_st
 
 _TIME_HEADER = "time [s]"
 _NANOSECONDS_PER_SECOND = 1e9
+# Largest stamp in ns, the year 2116: of larger ones the differences would not be whole numbers of 64 bits.
+_LAST_STAMP = 2**62
 # Messages after which the memory of the columns is checked.
 _MESSAGES_PER_CHECK = 10_000
 
@@ -107,13 +109,18 @@ class TopicTable(Table):
 
     def _read(self, indices: Sequence[int]) -> dict[str, _Topic]:
         """Return the topics of some columns, and that of the clock."""
-        topics: dict[str, _Topic] = {self._options.clock_topic: _Topic()} if self._options.clock_topic else {}
+        clock = self._options.clock_topic or ("" if indices else self._file.topics[0])
+        topics: dict[str, _Topic] = {clock: _Topic()} if clock else {}
         for index in indices:
             topics.setdefault(self._places[index][0], _Topic()).columns[index] = array("d")
         for count, (name, time, message) in enumerate(self._file.messages(list(topics)), 1):
             topic = topics[name]
+            stamp = header_stamp(message) or 0
+            if not (0 <= time <= _LAST_STAMP and 0 <= stamp <= _LAST_STAMP):
+                cure = "correct it, or export the topics as CSV"
+                raise InputError(f"{self.path}: message {count} of topic {name} has an impossible stamp: {cure}")
             topic.recorded.append(time)
-            topic.stamps.append(header_stamp(message) or 0)
+            topic.stamps.append(stamp)
             for index, column in topic.columns.items():
                 column.append(number_at(message, self._places[index][1]))
             if count % _MESSAGES_PER_CHECK == 0:

@@ -144,7 +144,7 @@ def _reading(path: Path | str) -> Iterator[None]:
     try:
         with warnings.catch_warnings(action="ignore"):  # openpyxl warns about styles and extensions
             yield
-    except (InputError, MemoryError):
+    except InputError:
         raise
     except Exception as error:
         raise _unreadable(path, first_line(error)) from None

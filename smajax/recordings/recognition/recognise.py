@@ -80,6 +80,8 @@ def recognise(path: Path, answers: Mapping[str, str], changes: Mapping[str, Any]
     layout = recognise_layout(path, changes)
     tables = open_tables(path, layout.options)
     headers = tables[0].headers
+    if not headers:
+        raise InputError(f"{path}: there are no columns: record a time and the channels of the rig")
     check_headers(answers, headers, path)
     parts = [load_columns(table) for table in tables]
     values = {k: np.concatenate([part[k] for part in parts]) for k in range(len(headers))}
