@@ -10,7 +10,9 @@ def main() -> None:
     """Run the ``smajax`` command."""
     exit_on_interrupt()
     from smajax.app.cli import app
+    from smajax.app.output import escape_what_cannot_be_encoded
 
+    escape_what_cannot_be_encoded()
     try:
         app()
     except KeyboardInterrupt:  # outside of a command, which has a sentence for it

@@ -7,6 +7,7 @@ a result (exit code 130). ``DerivativeError`` refuses a derivative that does not
 """
 
 import difflib
+import unicodedata
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -16,6 +17,15 @@ _MIN_SIMILARITY = 0.5
 # Characters of a value, and of the message of another package, that a sentence shows; chosen to keep it on one line.
 _VALUE_CHARACTERS = 30
 _MESSAGE_CHARACTERS = 120
+
+
+# Categories of Unicode that a terminal acts on in place of showing them, such as escapes and changes of the direction
+# of text, and halves of characters, which stand for the bytes of a file name that is not UTF-8.
+_NOT_SHOWN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+# Characters of the longest sentence that is printed: above that of all names of parameters.
+_SENTENCE_CHARACTERS = 4000
+# Python's numbers for bytes of a file name that are not UTF-8 (PEP 383).
+_UNDECODED_BYTES = range(0xDC80, 0xDD00)
 
 
 class InputError(ValueError):
@@ -112,6 +122,36 @@ def shortened(text: str, length: int = _VALUE_CHARACTERS) -> str:
         length: Largest number of characters, the dots included.
     """
     return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def printable(text: str) -> str:
+    """Return a text of several lines for a terminal, with escapes in place of other control characters.
+
+    Args:
+        text: The text.
+    """
+    if text.isascii() and text.replace("\n", "").isprintable():
+        return text
+    return "".join(_escaped(c) if c != "\n" and unicodedata.category(c) in _NOT_SHOWN else c for c in text)
+
+
+def printable_sentence(text: str) -> str:
+    """Return a sentence for a terminal: one line, with escapes, and three dots in the middle of what is too long.
+
+    Args:
+        text: The sentence.
+    """
+    line = printable(text).replace("\n", "\\n")
+    if len(line) <= _SENTENCE_CHARACTERS:
+        return line
+    half = _SENTENCE_CHARACTERS // 2
+    return f"{line[:half]} ... {line[-half:]}"
+
+
+def _escaped(character: str) -> str:
+    if ord(character) in _UNDECODED_BYTES:
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode("ascii")
 
 
 def first_line(error: Exception) -> str:

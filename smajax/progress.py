@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, Protocol, runtime_checkable
 
-from smajax.errors import Cancelled, InputError
+from smajax.errors import Cancelled, InputError, printable_sentence
 
 # What a progress callback raises to stop the work; Ctrl-C raises the first.
 _STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
@@ -202,7 +202,7 @@ class Progress:
 
     def _report(self, text: str, *, always: bool) -> None:
         if self._bar:
-            self._bar.update(self._task, description=text.replace("[", r"\["))
+            self._bar.update(self._task, description=printable_sentence(text).replace("[", r"\["))
         elif not self._quiet and (always or time.monotonic() - self._last_line > _MIN_SECONDS_BETWEEN_LINES):
             self._last_line = time.monotonic()
-            print(f"smajax: {text}", file=sys.stderr, flush=True)
+            print(f"smajax: {printable_sentence(text)}", file=sys.stderr, flush=True)

@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any
 
 from smajax.app.loading import raise_on_interrupt
-from smajax.errors import Cancelled, InputError, NumericsError
+from smajax.errors import Cancelled, InputError, NumericsError, printable_sentence
 from smajax.progress import Progress, ProgressEvent
 
 FAULT = 1
@@ -131,7 +131,7 @@ def open_in_browser(page: Path) -> bool:
 
 def _print_error(text: str) -> None:
     with contextlib.suppress(OSError):
-        print(f"smajax: {text}", file=sys.stderr)
+        print(f"smajax: {printable_sentence(text)}", file=sys.stderr)
 
 
 def _save_traceback(error: BaseException) -> str:

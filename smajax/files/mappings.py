@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from smajax.errors import InputError
-from smajax.files.toml import show
+from smajax.files.toml import check_sizes, show
 
 
 def plain_tables(data: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -18,6 +18,7 @@ def plain_tables(data: Mapping[str, Any], name: str) -> dict[str, Any]:
     Raises:
         InputError: If TOML has no such value; the message names its key.
     """
+    check_sizes(data, name)
     return {str(key): _plain(value, f"{name}: {key}") for key, value in data.items()}
 
 

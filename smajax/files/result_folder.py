@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
-from smajax.recordings.paths import replacing, unreadable
+from smajax.recordings.paths import check_output_path, replacing, unreadable
 
 SCHEMA = "smajax.run/1"
 _RUN = "run.json"
@@ -40,8 +40,9 @@ def check_output_folder(out: Path) -> Path:
     Raises:
         InputError: If results cannot be written there, or would replace files that smajax did not write.
     """
-    place = Path(os.path.abspath(out)).resolve()
-    if place == Path.cwd() or place in Path.cwd().parents:
+    place = check_output_path(out, "--out")
+    here = _working_folder()
+    if here is not None and (place == here or place in here.parents):
         raise InputError(f"{out}: this is the folder you are in: name a folder for --out that smajax can make")
     if place.exists() and not place.is_dir():
         raise InputError(f"{out}: this is a file: name a folder for --out")
@@ -52,6 +53,14 @@ def check_output_folder(out: Path) -> Path:
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(f"{out}: nothing can be written in {parent}: name a folder for --out elsewhere")
     return place
+
+
+def _working_folder() -> Path | None:
+    """Return the folder that the process is in; ``None`` where it was deleted: absolute paths do not need it."""
+    try:
+        return Path.cwd()
+    except OSError:
+        return None
 
 
 def write_folder(out: Path, run: Mapping[str, Any], fill: Callable[[Path], None]) -> None:

@@ -11,6 +11,7 @@ from tomlkit.items import Table
 
 from smajax.errors import InputError
 from smajax.recordings.datasets import data_path
+from smajax.recordings.paths import check_output_path
 
 # Keys of [rig] that depend on the recording; the template gets those of the example.
 _OF_RECORDING = ("control", "interpolation")
@@ -130,6 +131,7 @@ def set_value(table: Table, key: str, value: Any) -> None:
 def _write(files: Mapping[Path, bytes], out: Path) -> None:
     """Write files, unless one of them exists."""
     for path in files:
+        check_output_path(path, "--out")
         if path.exists():
             cure = "name another folder with --out"
             raise InputError(f"{path}: this file exists and is not overwritten: {cure}")

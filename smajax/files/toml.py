@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smajax.errors import InputError, shortened, suggestion
-from smajax.recordings.paths import replacing, similar_name, unreadable
+from smajax.recordings.paths import check_name, replacing, similar_name, unreadable
 from smajax.units import parse_quantity
 
 Section = TypeVar("Section", bound=BaseModel)
@@ -28,6 +28,10 @@ _MAX_BYTES = 2**20
 _MAX_LISTED = 8
 # Characters of a value that a sentence shows; chosen to keep it on one line.
 _SHOWN_CHARACTERS = 60
+# Tables and lists in each other, far above what a file of smajax has.
+_MAX_DEPTH = 16
+# Smallest whole number that TOML, which has 64 bits, does not have.
+_TOO_LARGE = 2**63
 _HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
 _SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
 # Form of the messages of tomllib: what is wrong, and where.
@@ -76,11 +80,14 @@ def read_text(path: Path, kind: str) -> str:
     Raises:
         InputError: If the file is missing, too large, or not text in UTF-8.
     """
+    check_name(path)
     try:
         if path.is_dir():
             raise InputError(f"{path}: this is a folder: name the {kind} file in it, one ending in .toml")
         if not path.exists():
             raise InputError(f"{path}: there is no such file{similar_name(path)}: check the path of the {kind}")
+        if not path.is_file():  # a pipe or a device, which may never end
+            raise InputError(f"{path}: this is not a regular file: name the {kind} file, one ending in .toml")
         if path.stat().st_size > _MAX_BYTES:
             problem = f"{path.stat().st_size} bytes are too many for a {kind}"
             raise InputError(f"{path}: {problem}: name the .toml file, not a recording")
@@ -112,7 +119,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         InputError: If the text is not TOML; the message names row, column and cure.
     """
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         match = _TOML_ERROR.search(str(error))
         reason = match["what"] if match else str(error)
@@ -124,6 +131,30 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         problem = "a number or a nesting of brackets in this file is too large to be read"
         raise InputError(f"{name}: {problem}: correct it") from None
+    check_sizes(data, name)
+    return data
+
+
+def check_sizes(data: Mapping[str, Any], name: str) -> None:
+    """Check that tables are not nested too deeply, and that whole numbers have at most 64 bits.
+
+    Args:
+        data: The tables.
+        name: Name of the file or dictionary in messages.
+
+    Raises:
+        InputError: If they are; the message names the section.
+    """
+    values: list[tuple[str, Any, int]] = [(key, value, 1) for key, value in data.items()]
+    while values:
+        key, value, depth = values.pop()
+        if depth > _MAX_DEPTH:
+            raise InputError(f"{name}: {key} has tables or lists nested more than {_MAX_DEPTH} times: correct it")
+        if isinstance(value, int) and not -_TOO_LARGE <= value < _TOO_LARGE:
+            problem = f"a whole number of {key} needs {value.bit_length() + 1} bits, above the 64 of a TOML file"
+            raise InputError(f"{name}: {problem}: correct it")
+        parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+        values += [(key, part, depth + 1) for part in parts]
 
 
 def line_numbers(text: str) -> dict[str, int]:

@@ -9,6 +9,7 @@ import typer
 from smajax.app.command_line.options import Auto, Open, Quiet
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
+from smajax.app.output import say, say_on_stderr
 from smajax.errors import InputError
 
 
@@ -69,12 +70,12 @@ def init(
 
     if is_actuator_kind(kind.value):
         rig, sweep_file = write_actuator_example(kind.value, out)
-        typer.echo(f"Wrote {rig}, to fill in with your own numbers, and {sweep_file}, a sweep of it.")
-        typer.echo(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
+        say(f"Wrote {rig}, to fill in with your own numbers, and {sweep_file}, a sweep of it.")
+        say(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
         return
 
     rig, example, (train, select, holdout), others = write_example(kind.value, out)
-    typer.echo(
+    say(
         f"Wrote {rig}, to fill in with your own wire, and an example: {example} with the recordings\n"
         f"{train} (to fit), {select} (to choose effects) and {holdout} (to predict).\n"
         f"Next: smajax check {rig} {train}\n"
@@ -83,12 +84,12 @@ def init(
     )
     for path in others:
         if path.name == "controller.toml":
-            typer.echo(f"      smajax tune {example} {path} --out {out / 'tuned'}")
+            say(f"      smajax tune {example} {path} --out {out / 'tuned'}")
         else:
-            typer.echo(f"      smajax sweep {path} --out {out / 'swept'}")
-    typer.echo("Why three recordings: smajax explain three-recordings")
+            say(f"      smajax sweep {path} --out {out / 'swept'}")
+    say("Why three recordings: smajax explain three-recordings")
     if note := template_note(rig):
-        typer.echo(f"Note: {note}.")
+        say(f"Note: {note}.")
 
 
 @with_reading
@@ -107,7 +108,7 @@ def check(
     prepare_jax()  # the program that looks for a transformation is cached for the fit
     from smajax.app.commands.check import describe
 
-    typer.echo(describe(rig, recordings or [], reading, auto))
+    say(describe(rig, recordings or [], reading, auto))
 
 
 def effects(
@@ -116,7 +117,7 @@ def effects(
     """List the effects that a rig can have: keys, units, usual strengths, sources; or describe one."""
     from smajax.app.commands.catalogues import effects_text
 
-    typer.echo(effects_text(key))
+    say(effects_text(key))
 
 
 def explain(
@@ -127,7 +128,7 @@ def explain(
     """Explain a word of a message, such as at-bound or equivalent, or an effect, such as backlash; or list them."""
     from smajax.app.commands.explain import explain_text
 
-    typer.echo(explain_text(" ".join(topic) if topic else None))
+    say(explain_text(" ".join(topic) if topic else None))
 
 
 def sets(
@@ -138,14 +139,14 @@ def sets(
     """List the shipped parameter sets, or the values of one: keys, units, sizes, sources."""
     from smajax.app.commands.catalogues import sets_text
 
-    typer.echo(sets_text(name))
+    say(sets_text(name))
 
 
 def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:
     """Make a result folder's report.html again from its other files."""
     from smajax.report.rebuild import rebuild_report
 
-    typer.echo(f"Wrote {rebuild_report(folder)}.")
+    say(f"Wrote {rebuild_report(folder)}.")
 
 
 def datasets(
@@ -163,13 +164,13 @@ def datasets(
         for dataset in catalogue.datasets().values():
             files = f"; {len(dataset.files)} files" if len(dataset.files) > 1 else ""
             head = f"{dataset.name}: {dataset.description}"
-            typer.echo(f"{head}\n    {dataset.source}; licence: {dataset.licence}{files}")
+            say(f"{head}\n    {dataset.source}; licence: {dataset.licence}{files}")
         return
     if name is None:
         raise InputError("'datasets get' needs a name: 'smajax datasets list' shows all")
     folder, missing = catalogue.get(name)
-    typer.echo(folder)
-    typer.echo(f"smajax: it holds {', '.join(sorted(path.name for path in folder.iterdir()))}", err=True)
+    say(folder)
+    say_on_stderr(f"it holds {', '.join(sorted(path.name for path in folder.iterdir()))}")
     if missing:
         note = catalogue.find(name).note
-        typer.echo(f"smajax: not there: {', '.join(missing)}" + (f" ({note})" if note else ""), err=True)
+        say_on_stderr(f"not there: {', '.join(missing)}" + (f" ({note})" if note else ""))

@@ -7,10 +7,13 @@ from typing import Annotated
 import typer
 
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
+from smajax.app.output import say
 from smajax.errors import InputError
 
 # Files that are named one by one.
 _MOST_NAMES = 5
+# Longest ending of the files that are written, whose names begin with that of the recording.
+_LONGEST_ENDING = "-recording-1000.csv"
 
 
 @with_reading
@@ -47,8 +50,10 @@ def import_file(
     """
     from smajax.api.recording_import import import_recording
     from smajax.app.commands.questions import ask_in_terminal, is_terminal, may_overwrite
+    from smajax.recordings.paths import check_output_path
     from smajax.recordings.recognition.answers import answers_by_header
 
+    check_output_path(out / f"{file.stem}{_LONGEST_ENDING}", "--out")
     ask = ask_in_terminal if is_terminal() else None
     result = import_recording(
         file,
@@ -58,20 +63,20 @@ def import_file(
         ask=ask,
         **reading,
     )
-    typer.echo(result.summary())
+    say(result.summary())
     paths = result.save(out, overwrite=may_overwrite(result.paths(out)))
     between = f"... (as many as {len(paths) - 1} recordings)"
     names = [str(path) for path in (paths if len(paths) <= _MOST_NAMES else (paths[0], between, *paths[-2:]))]
-    typer.echo(f"\nWrote {', '.join(names)}.")
+    say(f"\nWrote {', '.join(names)}.")
     recording = shlex.quote(str(file))
     if result.draft is None:
-        typer.echo(
+        say(
             "Next: add the sections to a rig.toml ('smajax init KIND' writes one), then\n"
             f"      smajax check rig.toml {recording}"
         )
         return
     rig_file, fitted = (shlex.quote(str(path)) for path in (paths[-1], out / f"{file.stem}-fit"))
-    typer.echo(f"Next: smajax check {rig_file} {recording}\n      smajax fit {rig_file} {recording} --out {fitted}")
+    say(f"Next: smajax check {rig_file} {recording}\n      smajax fit {rig_file} {recording} --out {fitted}")
 
 
 def _named_value(text: str) -> tuple[str, str]:

@@ -9,6 +9,7 @@ import typer
 from smajax.app.command_line.options import Json
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import start_run
+from smajax.app.output import say, say_json, say_on_stderr
 from smajax.errors import Cancelled, InputError
 
 if TYPE_CHECKING:
@@ -55,15 +56,22 @@ def properties(
     as_json: Json = False,
 ) -> None:
     """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals."""
+    if write_set is not None:
+        from smajax.recordings.paths import check_output_file
+
+        check_output_file(write_set, "--write-set")
     options = {"smooth": smooth, "tangent": tangent.value, **reading}
     study, interrupted = _analyse(recordings, None if write_set is None else model, options, quiet)
     if write_set is not None:
         _write_set(write_set, study)
-    typer.echo(_as_json(study) if as_json else study.summary())
+    if as_json:
+        say_json(_as_json(study))
+    else:
+        say(study.summary())
     if write_set is not None and not as_json:
-        typer.echo(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
+        say(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
     if write_set is not None:
-        typer.echo(f"smajax: {write_set.name}: {study.document['guessed']}", err=True)
+        say_on_stderr(f"{write_set.name}: {study.document['guessed']}")
     if interrupted:
         raise Cancelled("interrupted after the analysis; its results are complete")
 
@@ -93,4 +101,4 @@ def _write_set(path: Path, study: "PropertiesStudy") -> None:
 def _as_json(study: "PropertiesStudy") -> str:
     from smajax.files.documents import to_json
 
-    return to_json(study.document).rstrip()
+    return to_json(study.document).rstrip() + "\n"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from smajax.app.loading import exit_on_interrupt
+from smajax.app.output import say, say_json, say_on_stderr
 from smajax.errors import Cancelled
 
 if TYPE_CHECKING:
@@ -64,13 +65,13 @@ def finish_run(
         Cancelled: If Ctrl-C was pressed when there was a result already.
     """
     if as_json:
-        typer.echo((out / study.document_name).read_text("utf-8"), nl=False)
+        say_json((out / study.document_name).read_text("utf-8"))
     elif not quiet:
-        typer.echo(study.summary(str(out)) + after)
+        say(study.summary(str(out)) + after)
     if study.reason:
-        typer.echo(f"smajax: {study.reason}; the results so far are saved in {out.resolve()}", err=True)
+        say_on_stderr(f"{study.reason}; the results so far are saved in {out.resolve()}")
     if study.note and not quiet:
-        typer.echo(f"smajax: {study.note}", err=True)
+        say_on_stderr(f"{study.note}")
     if open_report:
         from smajax.app.console import open_in_browser
 

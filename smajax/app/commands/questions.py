@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from smajax.app.output import say
 from smajax.errors import InputError
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.recognition.answers import LEFT_OUT, parse_answer
@@ -26,10 +27,10 @@ def ask_in_terminal(question: Question) -> str | None:
     is_value = "." in question.key and not question.is_column
     subject = question.key if is_value else question.key.replace("_", " ").capitalize()
     subject = f"Column '{question.key}'" if question.is_column else subject
-    typer.echo(f"\n{subject}: {question.text}.")
+    say(f"\n{subject}: {question.text}.")
     answers = [question.choice, *(other for other in question.others if other != question.choice)]
     for number, answer in enumerate(answers, 1):
-        typer.echo(f"  {number}  {_in_words(question, answer)}{'  (Enter)' if number == 1 else ''}")
+        say(f"  {number}  {_in_words(question, answer)}{'  (Enter)' if number == 1 else ''}")
     example = (
         "a channel such as 'force [N] factor=-0.0087 offset=7.5', - to leave it out"
         if question.is_column
@@ -46,7 +47,7 @@ def ask_in_terminal(question: Question) -> str | None:
         problem = _problem(question, answer)
         if not problem:
             return answer
-        typer.echo(f"  {problem}")
+        say(f"  {problem}")
 
 
 def may_overwrite(paths: Sequence[Path]) -> bool:

@@ -8,7 +8,7 @@ Each format has one module with a subclass of ``Table``; it is imported when a f
 from pathlib import Path
 
 from smajax.errors import InputError
-from smajax.recordings.paths import similar_name, unreadable
+from smajax.recordings.paths import check_name, similar_name, unreadable
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table
 
@@ -37,6 +37,7 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
     Raises:
         InputError: If the file is missing, or cannot be read as a table.
     """
+    check_name(path)
     suffix = path.suffix.lower()
     try:
         _refuse_other_than_file(path)
