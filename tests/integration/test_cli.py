@@ -4,6 +4,7 @@ Most commands run in this process on a short recording, so that they share compi
 """
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -116,6 +117,36 @@ def test_equinox_is_imported_after_its_checks_are_disabled(words, tmp_path):
         text=True,
     )
     assert (result.returncode, result.stdout.strip()) == (7, "False"), result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("fit", "none.toml", "{1}", "--out", "out"), "none.toml: there is no such file"),
+        (("fit", "{0}", "none.csv", "--out", "out"), "none.csv: there is no such file"),
+        (("fit", "{0}", "{1}", "--holdout", "none.csv", "--out", "out"), "none.csv: there is no such file"),
+        (("simulate", "broken.toml", "{1}", "--out", "out"), "broken.toml: row 2, column"),
+        (("diagnose", "{0}", "{1}", "--select", "{0}", "--out", "out"), "files ending in '.toml' are not read"),
+        (("compare", "{0}", "{1}", "--out", "broken.toml"), "broken.toml"),
+        (("tune", "{0}", "broken.toml", "--out", "out"), "broken.toml: row 2, column"),
+        (("sweep", "none.toml", "--out", "out"), "none.toml: there is no such file"),
+        (("check", "{0}", "none.csv"), "none.csv: there is no such file"),
+        (("properties", "none.csv"), "none.csv: there is no such file"),
+    ],
+)
+def test_a_wrong_path_or_toml_text_is_told_before_jax_is_loaded(words, said, tmp_path):
+    (tmp_path / "broken.toml").write_text("schema = 1\n[rig\n")
+    probe = (
+        "import sys, smajax.__main__\n"
+        "class Refused:\n    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'jax':\n            sys.exit(7)\n"
+        "sys.meta_path.insert(0, Refused())\nsmajax.__main__.main()"
+    )
+    files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
+    command = [sys.executable, "-c", probe, *(word.format(*files) for word in words)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert result.returncode == 2 and said in result.stderr, (result.returncode, result.stderr)
 
 
 @pytest.mark.parametrize("module", ["typer", "jaxlib"])

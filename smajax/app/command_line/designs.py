@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Json, Open, Out, Quiet, RigFile, Seed
 from smajax.app.command_line.run import argv, finish_run, start_run
 
@@ -21,11 +22,10 @@ def tune(
     open_report: Open = False,
 ) -> None:
     """Tune a controller's gains by gradients of its closed loop with the rig; write them for a microcontroller."""
+    check_files(toml={"rig": rig, "controller": controller}, out=out)
     with start_run(quiet) as progress:
         from smajax.api.tune import tune as tune_gains
-        from smajax.files.result_folder import check_output_folder
 
-        check_output_folder(out)
         study = tune_gains(rig, controller, seed=seed, progress=progress)
         study.save(out, argv=argv())
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
@@ -50,6 +50,7 @@ def sweep(
     open_report: Open = False,
 ) -> None:
     """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
+    check_files(toml={"sweep": sweep_file})
     with start_run(quiet, accelerator=True) as progress:
         from smajax.api.sweep import sweep as simulate_designs
 

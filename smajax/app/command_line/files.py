@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Auto, Open, Quiet
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
@@ -103,6 +104,8 @@ def check(
     reading: Reading = NO_CHANGES,
 ) -> None:
     """Read and validate a rig, its recordings, controllers and sweeps; say what would be fitted, and run nothing."""
+    data = [path for path in recordings or [] if path.suffix.lower() != ".toml"]
+    check_files(toml={"rig": rig}, recordings=data)
     from smajax.numerics.process import prepare_jax
 
     prepare_jax()  # the program that looks for a transformation is cached for the fit

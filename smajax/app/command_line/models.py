@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import (
     DEFAULT_MAX_STEPS,
     MAX_STEPS,
@@ -62,11 +63,10 @@ def simulate(
     open_report: Open = False,
 ) -> None:
     """Simulate a rig under the inputs of a recording."""
+    check_files(toml={"rig": rig}, recordings=[recording], out=out)
     with start_run(quiet) as progress:
         from smajax.api.predict import predict
-        from smajax.files.result_folder import check_output_folder
 
-        check_output_folder(out)
         study = predict(rig_with_reading(rig, reading), recording, cycles=cycles, progress=progress)
         study.save(out, argv=argv())
     finish_run(study, out, progress, quiet=quiet, as_json=as_json, open_report=open_report)
@@ -105,11 +105,10 @@ def fit(
     open_report: Open = False,
 ) -> None:
     """Fit a rig's free parameters to recordings, with intervals, and predict others."""
+    check_files(toml={"rig": rig}, recordings=[*train, *(holdout or [])], out=out)
     with start_run(quiet) as progress:
         from smajax.api.fit import fit as fit_rig
-        from smajax.files.result_folder import check_output_folder
 
-        check_output_folder(out)
         study = fit_rig(
             rig_with_reading(rig, reading),
             train,
@@ -154,6 +153,7 @@ def diagnose(
     open_report: Open = False,
 ) -> None:
     """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
+    check_files(toml={"rig": rig}, recordings=[train, select, holdout], out=out)
     with start_run(quiet) as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
@@ -192,11 +192,10 @@ def compare(
 ) -> None:
     """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
     names = None if models is None else [word.strip() for word in models.split(",") if word.strip()]
+    check_files(toml={"rig": rig}, recordings=[train, holdout], out=out)
     with start_run(quiet) as progress:
         from smajax.api.compare import compare as compare_models
-        from smajax.files.result_folder import check_output_folder
 
-        check_output_folder(out)
         study = compare_models(
             rig_with_reading(rig, reading),
             train,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Json
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import start_run
@@ -80,6 +81,7 @@ def _analyse(
     recordings: list[Path], model: str | None, options: dict[str, Any], quiet: bool
 ) -> tuple["PropertiesStudy", bool]:
     """Analyse the cycles, and return whether Ctrl-C was pressed at the end; messages name this command's options."""
+    check_files(recordings=recordings)
     with start_run(quiet) as progress:
         from smajax.api.properties import thermal_cycle_properties
         from smajax.app.commands.properties_hints import with_cure_of_this_command

@@ -9,15 +9,14 @@ import numpy as np
 from smajax.control.analysis.case_check import CaseCheck, check_cases, excess_of_limits
 from smajax.control.analysis.cases import Case
 from smajax.control.analysis.closed_loop_checks import metric_of_limit
-from smajax.control.tuning.problem import TuningProblem
+from smajax.control.tuning.problem import LIMITED_NOISE_DRAWS, TuningProblem
 from smajax.control.tuning.task import TuningTask
 from smajax.control.tuning.tune import TuningResult, tune
 from smajax.progress import PhasesAndSteps
 
 # Largest number of searches for cases that fail.
 _RETUNINGS = 3
-# Smallest number of cases that a search uses, and how many of them may be failing ones. Chosen by trial.
-_MEMBERS = 24
+# Largest number of failing cases that a search uses. Chosen by trial.
 _MOST_FAILING = 12
 # Tightening of a limit that cases exceed, over the largest excess, and its largest value in each search as a share of
 # the limit: the search has the worst cases as members, and other cases exceed them by little. Chosen by trial.
@@ -71,7 +70,11 @@ def judge_gains(
                 f"{len(failing)} of {len(check.cases)} cases miss a limit: tuning again for them", can_stop=True
             )
             other = _search(
-                replace(task, limits=limits), problem, result, [*seen, *others[: _MEMBERS - len(seen)]], progress
+                replace(task, limits=limits),
+                problem,
+                result,
+                [*seen, *others[: LIMITED_NOISE_DRAWS - len(seen)]],
+                progress,
             )
         except KeyboardInterrupt:
             result = result._replace(interrupted=True)
@@ -116,7 +119,7 @@ def _search(
     progress: PhasesAndSteps,
 ) -> TuningResult:
     """The best gains for some cases, from the last gains."""
-    chosen = [cases[k % len(cases)] for k in range(max(_MEMBERS, problem.count))]
+    chosen = [cases[k % len(cases)] for k in range(max(LIMITED_NOISE_DRAWS, problem.count))]
     members = {name: np.array([case.parameters[name] for case in chosen]) for name in chosen[0].parameters}
     noise, loop = np.stack([case.noise for case in chosen]), problem.loop_with(result.gains)
     return tune(

@@ -29,6 +29,9 @@ from smajax.numerics.loop_kernels import jit_with_kernels
 # Number of noise draws that gains are tuned for, so that they do not overfit a single one. Chosen by
 # experiments/papers/rotary/rotary_tracking.py.
 NOISE_DRAWS = 8
+# The same within limits: with 8 members the gains keep a limit for these and miss it for other cases more often. Chosen
+# by experiments/control/random_tuning_tasks.py.
+LIMITED_NOISE_DRAWS = 24
 # Relative spread of the gains that several members evaluate, so that the gains do not overfit the instants at which a
 # single reference jumps. Chosen by experiments/control/wire_position.py.
 GAIN_SPREAD = 0.1

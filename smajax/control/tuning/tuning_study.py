@@ -30,7 +30,14 @@ from smajax.control.tuning.case_retuning import JudgedGains, judge_gains
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward, identify_feedforward, with_inverse
 from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
-from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProblem, has_noise, noise_draws
+from smajax.control.tuning.problem import (
+    GAIN_SPREAD,
+    LIMITED_NOISE_DRAWS,
+    NOISE_DRAWS,
+    TuningProblem,
+    has_noise,
+    noise_draws,
+)
 from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
 from smajax.control.tuning.tune import TuningResult
 from smajax.errors import InputError
@@ -346,10 +353,11 @@ def _start_gains(settings: ControllerFile) -> dict[str, float]:
 
 
 def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: int) -> TuningProblem:
-    """The tuning problem on the first draws; within limits also without noise, and for other ambient temperatures."""
+    """The tuning problem: the first draws, or draws of the noise, one of them none, and of the ambient temperature."""
     robust = settings.robust
     members = {n: v[: robust.draws] for n, v in draws.items()} if robust else {}
-    noise = noise_draws(settings.loop, settings.scenario, robust.draws if robust else NOISE_DRAWS, seed)
+    count = LIMITED_NOISE_DRAWS if settings.check > 1 and settings.limits else NOISE_DRAWS
+    noise = noise_draws(settings.loop, settings.scenario, robust.draws if robust else count, seed)
     if settings.check > 1 and len(noise) > 1:
         noise = noise.at[-1].set(0.0)
         if settings.limits:

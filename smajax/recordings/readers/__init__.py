@@ -37,10 +37,9 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
     Raises:
         InputError: If the file is missing, or cannot be read as a table.
     """
-    check_name(path)
+    check_file(path)
     suffix = path.suffix.lower()
     try:
-        _refuse_other_than_file(path)
         if suffix in TEXT_SUFFIXES:
             from smajax.recordings.readers.csv import CsvTable
 
@@ -76,20 +75,33 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
             return [TopicTable(path, options)]
     except OSError as error:
         raise unreadable(path, error) from None
-    cure = f"save the recording as {', '.join(SUFFIXES)}"
-    raise InputError(f"{path}: files ending in '{path.suffix}' are not read: {cure}")
+    raise AssertionError(f"no reader of {suffix}")
 
 
-def _refuse_other_than_file(path: Path) -> None:
-    """Refuse a path without a file, and an empty file."""
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file{similar_name(path)}: check the path")
-    if not path.is_file():
-        kind = "a folder" if path.is_dir() else "not a regular file"
-        raise InputError(f"{path}: this is {kind}: name a recording, a file ending in {', '.join(SUFFIXES)}")
-    if path.stat().st_size == 0:
-        cure = "record a header like 'time [s],current [A]' and rows of numbers"
-        raise InputError(f"{path}: the file is empty: {cure}")
+def check_file(path: Path) -> None:
+    """Refuse a path without a file, an empty file, and a file of another kind.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: If there is no such recording.
+    """
+    check_name(path)
+    try:
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file{similar_name(path)}: check the path")
+        if not path.is_file():
+            kind = "a folder" if path.is_dir() else "not a regular file"
+            raise InputError(f"{path}: this is {kind}: name a recording, a file ending in {', '.join(SUFFIXES)}")
+        if path.stat().st_size == 0:
+            cure = "record a header like 'time [s],current [A]' and rows of numbers"
+            raise InputError(f"{path}: the file is empty: {cure}")
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if path.suffix.lower() not in SUFFIXES:
+        cure = f"save the recording as {', '.join(SUFFIXES)}"
+        raise InputError(f"{path}: files ending in '{path.suffix}' are not read: {cure}")
 
 
-__all__ = ["SUFFIXES", "Table", "open_tables"]
+__all__ = ["SUFFIXES", "Table", "check_file", "open_tables"]
