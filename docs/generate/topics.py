@@ -3,7 +3,7 @@
 import posixpath
 from pathlib import Path
 
-from smajax.app.commands.explain import topics
+from smajax.report.topics import read_topics
 
 DOCS = Path(__file__).resolve().parents[1]
 
@@ -13,7 +13,7 @@ def messages() -> str:
     return "\n".join(
         f"\n## {topic.title} {{ #{topic.name} }}\n\n`smajax explain {topic.name}`\n\n{topic.text}\n\n"
         f"More: [{_title(topic.page)}]({posixpath.relpath(topic.page, 'reference')})\n"
-        for topic in topics().values()
+        for topic in read_topics().values()
     )
 
 

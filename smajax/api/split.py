@@ -143,7 +143,8 @@ def refuse_others(function: str, split: bool, **others: Any) -> None:
             raise InputError(f"{function}: {name} is given and split, too: leave one of them out")
         if not split and not given:
             raise InputError(
-                f"{function}: {name} is missing: give --{name} ({name}=), or --split (split=True) to cut one recording"
+                f"{function}: {name} is missing: give --{name} ({name}=), or --split (split=True) to cut one recording "
+                "(smajax explain three-recordings)"
             )
 
 

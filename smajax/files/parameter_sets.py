@@ -109,6 +109,7 @@ def find_set(name: str, folder: Path | None = None, place: str = "parameter set 
     if name.endswith(".toml") or "/" in name:
         return (folder or Path()) / name
     choices = f"the shipped ones are {', '.join(shipped)}, and a file of your own ends in .toml"
+    choices += " (smajax explain parameter-sets)"
     raise InputError(f"{place}'{name}' is not known{suggestion(name, shipped)}: {choices}")
 
 

@@ -67,7 +67,7 @@ def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[Abs
         InputError: If an effect is not in the catalogue, or a value is not valid.
     """
     if not isinstance(content, dict):
-        cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it'
+        cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it (smajax explain effects)'
         raise InputError(f"effects is not a section: {cure}")
     effects, misplaced = [], {}
     for key, keys in content.items():
@@ -75,7 +75,7 @@ def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[Abs
         if effect is None:
             cure = "an effect of your own needs its module to be imported before, or an installed entry point"
             hint = suggestion(key, catalogue()) or f": {cure}"
-            raise InputError(f"effects.{key} is not in the catalogue{hint}")
+            raise InputError(f"effects.{key} is not in the catalogue{hint} (smajax explain effects)")
         section = f"effects.{key}"
         values = section_values(section, keys, {f"{section}.{n}": d for n, d in declarations(effect).items()})
         if reason := effect.unavailable_reason(capabilities):

@@ -10,6 +10,7 @@ from smajax.report.figures import Picture
 from smajax.report.prediction import Series, split_label
 from smajax.report.summary import table
 from smajax.report.time_figures import comparison_picture
+from smajax.report.topics import comparison_topics, explained
 
 _PARAMETER_HEAD = ("parameter", "value", "95 % from", "to", "unit")
 MODEL_HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
@@ -54,7 +55,8 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
         doc["summary"],
     ]
     lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
-    return "\n".join([*lines, *notes(doc), *([f"Results: {folder}"] if folder else [])])
+    place = [f"Results: {folder}"] if folder else []
+    return "\n".join([*lines, *notes(doc), *explained(comparison_topics(doc)), *place])
 
 
 def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -125,6 +127,7 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
         picture = comparison_picture(series_by_model(doc, series, role), doc["channel"], role)
         sections.append(pages.add_picture(picture, pictures))
     sections += _parameter_sections(doc)
+    sections.append(pages.topics_section(comparison_topics(doc)))
     sections += pages.provenance_sections(run, rig, pages.recordings_table(doc["recordings"]))
     lead = f"Predictions of {doc['channel']} by several models."
     return pages.render_page(f"Comparison on {doc['rig']}", lead, sections, pictures)

@@ -17,7 +17,10 @@ from smajax.report.diagnosis_summary import (
 from smajax.report.figures import Picture
 from smajax.report.prediction import Series, split_label
 from smajax.report.time_figures import time_picture
+from smajax.report.topics import diagnosis_topics
 
+# Words of the table of effects.
+_STATUS_TOPICS = ("detectable-from", "absorbed", "blind")
 _REFIT_ERROR = "error after refit"
 _EFFECT_HEAD = (
     "effect",
@@ -55,6 +58,7 @@ def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, An
     sections.append("<h2>Measured against model</h2>")
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), run["inputs"], floor), pictures) for s in series]
+    sections.append(pages.topics_section([*diagnosis_topics(doc), *_STATUS_TOPICS]))
     sections += pages.provenance_sections(run, rig)
     names = dict.fromkeys(split_label(s.name)[0] for s in series)
     lead = f"Diagnosis of the rig from {', '.join(names)}."

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from smajax.report.figures import Picture
+from smajax.report.topics import plain_text, read_topics
 
 _HERE = Path(__file__).parent
 # The page may run its own scripts, and must not load anything else.
@@ -129,6 +130,21 @@ def folded(title: str, content: str) -> str:
         content: The content as HTML.
     """
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
+
+
+def topics_section(names: Sequence[str]) -> str:
+    """Return the texts of ``smajax explain`` on words of a page, folded; effects are left out.
+
+    Args:
+        names: Names of topics.
+    """
+    known = read_topics()
+    entries = [
+        folded(f"{known[n].title} (smajax explain {n})", f"<pre>{escape(plain_text(known[n].text))}</pre>")
+        for n in names
+        if n in known
+    ]
+    return "<h2>Words of this page</h2>" + "".join(entries) if entries else ""
 
 
 def bullets(sentences: Sequence[str]) -> str:

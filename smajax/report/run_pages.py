@@ -14,6 +14,7 @@ from smajax.report.pages import (
     recordings_table,
     render_page,
     table,
+    topics_section,
     verdict_section,
 )
 from smajax.report.parameter_figures import correlation_picture, profile_picture
@@ -21,6 +22,7 @@ from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import Series
 from smajax.report.shown_values import format_value
 from smajax.report.time_figures import time_picture
+from smajax.report.topics import fit_topics
 
 
 def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -45,6 +47,8 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     for recording in series:
         sections += _recording_pictures(recording, doc["observed"], doc["inputs"], floor, pictures)
     sections += _uncertainty_pictures(doc, pictures)
+    is_bad = any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
+    sections.append(topics_section(fit_topics(doc, is_bad)))
     details = (recordings_table(doc["recordings"]), _fixed_section(doc), _solver_section(doc))
     sections += provenance_sections(run, rig, *details)
     return render_page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)

@@ -10,6 +10,7 @@ from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
 from smajax.report.shown_values import format_in_unit, format_parameter, format_value, shown_unit
 from smajax.report.summary import table
+from smajax.report.topics import explained, sweep_topics
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
 from smajax.sweeps.sobol import is_resolved
 
@@ -180,7 +181,7 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
     command = next((entry["command"] for entry in doc["refined"] if entry.get("command")), "")
     if folder and command:
         place.append(f"To see the figures of refined 1 again: cd {folder}, then {command}")
-    return "\n".join([*lines, doc["summary"], *place])
+    return "\n".join([*lines, doc["summary"], *explained(sweep_topics(doc)), *place])
 
 
 def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: Mapping[str, Any], rig: str) -> str:
@@ -205,6 +206,7 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
     sections += _design_pictures(doc, columns, pictures)
     sections += _sensitivity_section(doc, pictures)
     sections += ["<h2>Ranges</h2>", pages.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
+    sections.append(pages.topics_section(sweep_topics(doc)))
     sections += pages.provenance_sections(run, rig)
     lead = f"{doc['designs']:,} designs, sampled by {doc['sampling']}."
     return pages.render_page(f"Sweep of {doc['rig']}", lead, sections, pictures)

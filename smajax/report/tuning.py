@@ -10,6 +10,7 @@ from smajax.report.figures import Picture
 from smajax.report.prediction import Series
 from smajax.report.summary import table
 from smajax.report.time_figures import response_picture
+from smajax.report.topics import explained, tuning_topics
 from smajax.report.tuning_checks import (
     check_words,
     further_jumps,
@@ -213,7 +214,7 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
     files = [name for name in _EXPORTS if name not in doc.get("left_out", {})]
     lines += left_out_lines(doc)
     place = [f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"] if folder else []
-    return "\n".join([*lines, *place])
+    return "\n".join([*lines, *explained(tuning_topics(doc)), *place])
 
 
 def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -241,6 +242,7 @@ def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[s
         sections.append(f"<p>{further_jumps(doc)}</p>" if further_jumps(doc) else "")
     sections.append(pages.add_picture(response_picture(series, doc["channel"]), pictures))
     sections += [f"<p>{escape(line)}.</p>" for line in left_out_lines(doc)]
+    sections.append(pages.topics_section(tuning_topics(doc)))
     sections += pages.provenance_sections(run, rig)
     lead = f"Controller of {doc['channel']}, tuned on simulations of its closed loop."
     return pages.render_page(f"Tuning on {doc['rig']}", lead, sections, pictures)

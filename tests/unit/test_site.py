@@ -8,11 +8,11 @@ from pydantic import BaseModel
 
 import smajax
 from docs.generate import api, bibliography, effect_equations, keys, outputs, pages
-from smajax.app.commands.explain import topics
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, rig_schema, rig_structure
 from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
+from smajax.report.topics import read_topics
 from smajax.sweeps import axis_sections, goal_sections, input_section, margin_section, sweep_file
 from tests.conftest import ROOT
 
@@ -118,7 +118,7 @@ def test_the_command_page_has_each_option():
     assert "`--on-bad-rows TEXT`" in pages.PARTS["reading-options"]()
 
 
-@pytest.mark.parametrize("page", ["docs/first-questions.md", *(f"data/topics/{name}.md" for name in topics())])
+@pytest.mark.parametrize("page", [f"data/topics/{name}.md" for name in read_topics()])
 def test_the_sections_of_a_page_are_those_of_a_rig(page):
     blocks = re.findall(r"^```toml\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
     rig = tomllib.loads((ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").read_text("utf-8"))
