@@ -30,6 +30,14 @@ def commands() -> str:
     return "\n".join(_command(name, function) for name, function in _functions().items())
 
 
+def command_list() -> str:
+    """Return a table of the commands, with their arguments and what they do."""
+    rows = [
+        (f"[`{_usage(name, function)}`](#{name})", first_sentence(function)) for name, function in _functions().items()
+    ]
+    return table(("command", "what it does"), rows)
+
+
 def reading_options() -> str:
     """Return the options that every command which reads recordings has."""
     options = [p for p in _parameters(_functions()["fit"]) if p.panel]
@@ -47,13 +55,20 @@ def _functions() -> dict[str, Any]:
 def _command(name: str, function: Any) -> str:
     parameters = _parameters(function)
     arguments, options = ([p for p in parameters if p.is_option is kind] for kind in (False, True))
-    words = ["smajax", name, *(p.names[0] for p in arguments), *["[OPTIONS]"] * bool(options)]
-    text = f"\n### smajax {name} {{ #{name} }}\n\n{first_sentence(function)}\n\n```text\n{' '.join(words)}\n```\n\n"
+    usage = _usage(name, function)
+    text = f"\n### smajax {name} {{ #{name} }}\n\n{first_sentence(function)}\n\n```text\n{usage}\n```\n\n"
     text += table(("argument", "meaning"), [_row(p) for p in arguments])
     text += "\n" + table(("option", "meaning"), [_row(p) for p in options if not p.panel])
     if any(p.panel for p in options):
         text += "\nIt also takes the [options of reading](#options-of-reading).\n"
     return text
+
+
+def _usage(name: str, function: Any) -> str:
+    """The arguments of a command as they are written."""
+    parameters = _parameters(function)
+    arguments = [p.names[0] for p in parameters if not p.is_option]
+    return " ".join(["smajax", name, *arguments, *["[OPTIONS]"] * any(p.is_option for p in parameters)])
 
 
 def _row(parameter: Parameter) -> tuple[str, str]:

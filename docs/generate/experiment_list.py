@@ -13,7 +13,7 @@ TEXT = """# Experiments
 Each experiment is a program that prints a table of what was measured and what it should be. It is run as
 
 ```sh
-python experiments/docs/held_out.py
+python experiments/papers/knee_ankle/soft_bending.py
 ```
 
 with the options `--quick` (within two minutes on two cores), `--json FILE` (all numbers), `--record` (the table, with

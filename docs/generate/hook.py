@@ -15,11 +15,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from docs.generate import pages  # noqa: E402
-from docs.generate.outputs import clean_up, output_of  # noqa: E402
+from docs.generate.blocks import OUTPUT, REASON, blocks  # noqa: E402
+from docs.generate.outputs import clean_up, output_of, run_first  # noqa: E402
 from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
-OUTPUT = re.compile(r"^<!-- output of: (smajax .+) -->$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 # An address that a browser loads when the page opens; a link that a reader follows is none.
@@ -54,6 +54,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     source = page.file.src_uri
     markdown = insert_results(PART.sub(lambda match: pages.PARTS[match[1]](), markdown))
     markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
+    for block in blocks(markdown):
+        if block.is_first:
+            run_first(block.text, source)
+    markdown = REASON.sub(lambda match: f"*Not executed by the tests of this site: {match[1]}.*\n", markdown)
     return OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
 
 

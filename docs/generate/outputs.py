@@ -39,14 +39,34 @@ def output_of(command: str, page: str) -> str:
     program, *words = shlex.split(command)
     if program != "smajax":
         raise CommandError(f"'{command}' does not begin with smajax")
-    environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
-    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": str(WIDTH)}
     arguments = [sys.executable, "-m", "smajax", *words]
-    result = subprocess.run(arguments, cwd=_folder(page), env=environment, capture_output=True, text=True, check=False)
+    result = _run(arguments, page)
     if result.returncode:
         raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
     lines = [part for line in result.stdout.strip("\n").rstrip().splitlines() for part in _wrapped(line)]
     return "\n".join(["```text", *lines, "```"])
+
+
+def run_first(code: str, page: str) -> None:
+    """Run the Python code of a page that makes a file for its commands.
+
+    Args:
+        code: The code.
+        page: The page, which determines the folder.
+
+    Raises:
+        CommandError: If it fails.
+    """
+    result = _run([sys.executable, "-c", code], page)
+    if result.returncode:
+        raise CommandError(f"the code of {page} failed: {result.stderr.strip()}")
+
+
+def _run(words: list[str], page: str) -> subprocess.CompletedProcess[str]:
+    """Run a command in the folder of a page, without a display, and in a terminal of a known width."""
+    environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
+    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": str(WIDTH)}
+    return subprocess.run(words, cwd=_folder(page), env=environment, capture_output=True, text=True, check=False)
 
 
 def _wrapped(line: str) -> list[str]:

@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # Parts by the name in a line <!-- generated: NAME --> of a page.
 PARTS: dict[str, Callable[[], str]] = {
     "bibliography": bibliography.bibliography,
+    "command-list": commands.command_list,
     "commands": commands.commands,
     "controller-keys": keys.controller_keys,
     "documents": documents.documents,

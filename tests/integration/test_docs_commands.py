@@ -1,52 +1,140 @@
-"""The commands on the pages of the documentation: each is one that smajax has, with files that are there."""
+"""Every block of the README and of the pages: executed here, executed by the build of the site, or marked with a reason.
 
-import shlex
+The blocks of a page run in their order in a clean folder with the shipped data, as those of a reader of the page do.
+"""
+
+import json
+import os
 import shutil
+import subprocess
+import sys
+import tomllib
 
 import pytest
-import typer
-from typer.testing import CliRunner
+import tomlkit
 
-from smajax.app.cli import app
-from tests.conftest import ROOT
-from tests.integration.test_readme import blocks
+from docs.generate.blocks import EXECUTED, OUTPUT, Block, blocks, commands
+from smajax.files.material_limits import read_catalogue, read_limits
+from smajax.files.rig_file import read_rig
+from smajax.sweeps.sweep_file import read_sweep
+from tests.conftest import ROOT, SHARED
+from tests.integration.test_import import OF_OTHERS
+from tests.integration.test_readme import INSTALL
 
-PAGES = sorted((ROOT / "docs").rglob("*.md"))
-# Files that a page begins with: shipped ones, and those of ``smajax init dead-weight --out bench``.
-PRESENT = ("data/", "bench/")
+TEXTS = {
+    path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
+    for path in [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "experiments/README.md")),
+        ROOT / "smajax" / "plant" / "effects" / "README.md",
+        *sorted((ROOT / "docs").rglob("*.md")),
+    ]
+}
+# Languages of blocks that are no programs: files, which are read here, and a diagram.
+SHOWN = ("toml", "mermaid")
+# Runs the blocks of a page; those of Python have one namespace.
+DRIVER = """
+import json, subprocess, sys
+namespace = {"__name__": "__main__"}
+for language, text, place in json.loads(sys.argv[1]):
+    print(place, file=sys.stderr)
+    if language == "python":
+        exec(compile(text, place, "exec"), namespace)
+    else:
+        subprocess.run(["bash", "-euo", "pipefail", "-c", text], check=True)
+"""
 
 
-def lines(page: str) -> list[str]:
-    """Return the smajax commands of a page, without comments and line continuations."""
-    text = "".join(blocks("sh", page)).replace("\\\n", " ")
-    return [line.partition(" #")[0].strip() for line in text.splitlines() if line.startswith("smajax ")]
+def shown_commands(page: str) -> set[str]:
+    """Return the commands whose outputs a page shows, which the build executes."""
+    return {" ".join(command.split()) for command in OUTPUT.findall(TEXTS[page])}
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Return a folder with the shipped data and the files of ``init``."""
-    folder = tmp_path_factory.mktemp("docs")
+# Commands with shipped data only, which some page shows: their folders are not needed elsewhere.
+SHOWN_SOMEWHERE = {c for page in TEXTS for c in shown_commands(page) if " data/" in c}
+
+
+def is_built(page: str, block: Block) -> bool:
+    """Return whether the build of the site executes a shell block."""
+    known = shown_commands(page) | SHOWN_SOMEWHERE
+    return block.language == "sh" and all(command in known for command in commands(block.text))
+
+
+def executed(page: str) -> list[Block]:
+    """Return the blocks of a page that are executed here; ``test_import.py`` executes those on logs of others."""
+    every = [b for b in blocks(TEXTS[page]) if b.language in EXECUTED and not b.reason and not is_built(page, b)]
+    every = [b for b in every if b.text not in OF_OTHERS]
+    return [b for b in every if not all(INSTALL.fullmatch(c) for c in commands(b.text))]
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_no_block_is_left_out_silently(page):
+    unknown = [(b.line, b.language) for b in blocks(TEXTS[page]) if b.language not in (*EXECUTED, *SHOWN)]
+    assert not unknown, "a block is sh, python or toml; outputs are generated"
+    assert TEXTS[page].count("\n```") == 2 * len(blocks(TEXTS[page]))
+
+
+def test_few_blocks_are_not_executed_and_each_says_why():
+    reasons = [block.reason for text in TEXTS.values() for block in blocks(text) if block.reason]
+    assert len(reasons) <= 4 and all(len(reason) > 10 for reason in reasons)
+
+
+PAGES = [page for page in TEXTS if page != "README.md" and executed(page)]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_blocks_of_a_page_run(page, tmp_path):
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name, words in (("smajax", "-m smajax"), ("python", "")):
+        (tools / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {words} "$@"\n', "utf-8")
+        (tools / name).chmod(0o755)
+    folder = tmp_path / "page"
+    folder.mkdir()
     shutil.copytree(ROOT / "data", folder / "data")
-    assert CliRunner().invoke(app, ["init", "dead-weight", "--out", str(folder / "bench")]).exit_code == 0
-    return folder
+    (folder / "experiments").symlink_to(ROOT / "experiments")  # as in a checkout
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "XLA_FLAGS", "EQX_ON_ERROR")}
+    environment |= {"PYTHONPATH": str(ROOT), "PATH": f"{tools}{os.pathsep}{environment['PATH']}"}
+    if any("datasets get" in block.text for block in executed(page)):
+        if not SHARED.is_dir():
+            pytest.skip("the recordings of others are not next to this checkout (../shared)")
+        environment["SMAJAX_DATA"] = str(SHARED / "data")
+    steps = [(block.language, block.text, f"{page}:{block.line}") for block in executed(page)]
+    words = [sys.executable, "-c", DRIVER, json.dumps(steps)]
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if lines(p.read_text("utf-8"))], ids=lambda p: p.stem)
-def test_each_command_of_a_page_is_understood(page, folder, monkeypatch):
-    monkeypatch.chdir(folder)
+def merged(sections: dict, block: dict) -> dict:
+    """Return a file with the sections of a block in place of its own; effects are added."""
+    effects = {**sections.get("effects", {}), **block.get("effects", {})}
+    return {**sections, **block, **({"effects": effects} if effects else {})}
 
-    def stop(*_: object, **__: object):  # the work itself is tested elsewhere
-        raise typer.Exit(1)
 
-    for module in ("models", "designs", "files", "properties"):
-        monkeypatch.setattr(f"smajax.app.command_line.{module}.start_run", stop)
-    for line in lines(page.read_text("utf-8")):
-        words = shlex.split(line)[1:]
-        if words[0] in ("init", "import"):  # they write; other tests cover the pages about them
-            continue
-        missing = [word for word in words if word.startswith(PRESENT) and not (folder / word).exists()]
-        assert not missing, line
-        result = CliRunner().invoke(app, words)
-        assert "Usage:" not in result.output, f"{line}\n{result.output}"
-        if "there is no such file" not in result.output:  # a file of the reader's own, such as RIG
-            assert result.exit_code in (0, 1), f"{line}\n{result.output}"
+RIGS = {
+    page: [tomllib.loads(b.text) for b in blocks(text) if b.language == "toml"]
+    for page, text in TEXTS.items()
+    if any(b.language == "toml" for b in blocks(text))
+}
+
+
+@pytest.mark.parametrize("page", RIGS)
+def test_the_toml_of_a_page_is_a_file_that_is_read(page, tmp_path):
+    """A block of some sections replaces those of the shipped file, or of the block before."""
+    folder = ROOT / "data" / "recordings" / "dead-weight"
+    shutil.copy(folder / "rig.toml", tmp_path / "example.toml")
+    rig, sweep = tomllib.loads((folder / "rig.toml").read_text("utf-8")), {}
+    for block in RIGS[page]:
+        if block.get("schema") == "smajax.parameters/1":
+            path = tmp_path / "set.toml"
+            path.write_text(tomlkit.dumps(block), "utf-8")
+            assert read_limits(path, "set") is not None and read_catalogue(path, "set") is not None
+        elif "sweep" in block:
+            sweep = merged(sweep, block)
+            path = tmp_path / "sweep.toml"
+            path.write_text(tomlkit.dumps({"schema": 1, **sweep}), "utf-8")
+            read_sweep(path)
+        elif "project" in block:
+            assert all(group.startswith("smajax.") for group in block["project"]["entry-points"])
+        else:
+            rig = merged(rig, block)
+            read_rig({name: content for name, content in rig.items() if content})

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import smajax as sma
+from docs.generate.blocks import blocks
 from smajax.app import cli
 from smajax.files.channel_settings import channel_settings
 from smajax.files.recording_settings import recording_options
@@ -23,8 +24,7 @@ from tests.conftest import ROOT
 from tests.integration.test_cli import sentence, smajax
 
 PAGE = (ROOT / "docs" / "how-to" / "import-a-file.md").read_text("utf-8")
-BLOCK = re.compile(r"```(sh|python)\n(.*?)```", re.DOTALL)
-OF_OTHERS = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
+OF_OTHERS = [block.text for block in blocks(PAGE) if "datasets get" in block.text]
 LOG = "nr;millis;wire temp;load cell;pwm\n" + "".join(
     f"{k};{50 * k};{24 + k / 4:.2f};{800 - k};{120 * (k > 5)}\n".replace(".", ",") for k in range(40)
 )
@@ -216,21 +216,6 @@ def test_raw_files_of_others_lead_to_a_fit_by_the_commands_of_the_page(shared, t
     # What the page says: the next two commands are those that the import prints.
     commands = [line for line in OF_OTHERS[number].splitlines() if re.match("smajax (check|fit)", line)]
     assert len(commands) == 2 and done.stdout.count("Next: smajax check ") == 1
-
-
-def test_the_page_runs_from_its_first_to_its_last_block(tmp_path):
-    blocks = BLOCK.findall(PAGE)
-    assert [language for language, _ in blocks] == ["python", "sh", "sh", "sh", "sh", "python"]
-    environment = with_command(tmp_path)
-    output = ""
-    for language, text in blocks:
-        words = ["sh", "-e", "-c", text] if language == "sh" else [sys.executable, "-c", text]
-        done = subprocess.run(
-            words, cwd=tmp_path / "bench", env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        output += done.stdout
-    assert "the whole numbers 792 to 800 are counts" in output and "force [N] (auxiliary in a diagnosis)" in output
 
 
 def test_the_command_is_listed():

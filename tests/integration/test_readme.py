@@ -10,24 +10,22 @@ import tomllib
 
 import pytest
 
+from docs.generate.blocks import blocks, commands
 from tests.conftest import ROOT
 
 README = (ROOT / "README.md").read_text("utf-8")
-PYTHON_PAGE = (ROOT / "docs" / "how-to" / "use-python.md").read_text("utf-8")
-BLOCK = re.compile(r"(<!-- not executed: .+? -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 INSTALL = re.compile(r'python3 -m venv \.venv && \.venv/bin/pip install "?\.(?:\[(\w+)\])?"? && \.venv/bin/(.+)')
 LONGEST = 150  # lines
 
 
-def blocks(language: str, page: str = README) -> list[str]:
+def executed(language: str) -> list[str]:
     """Return the code blocks of a language that are executed."""
-    return [text for skipped, name, text in BLOCK.findall(page) if name == language and not skipped]
+    return [block.text for block in blocks(README) if block.language == language and not block.reason]
 
 
-def commands() -> list[str]:
-    """Return the commands of the shell blocks, without comments and line continuations."""
-    text = "".join(blocks("sh")).replace("\\\n", " ")
-    return [line for line in (line.partition(" #")[0].strip() for line in text.splitlines()) if line]
+def readme_commands() -> list[str]:
+    """Return the commands of the shell blocks."""
+    return [command for text in executed("sh") for command in commands(text)]
 
 
 def run(words: list[str], folder) -> subprocess.CompletedProcess:
@@ -56,7 +54,7 @@ def test_links_exist():
 
 
 def test_the_installation_commands_and_the_demo(bench):
-    installs = [INSTALL.fullmatch(line) for line in commands() if line.startswith("python3 -m venv")]
+    installs = [INSTALL.fullmatch(line) for line in readme_commands() if line.startswith("python3 -m venv")]
     assert len(installs) == 2 and all(installs)
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
     assert {match[1] for match in installs if match} - {None} <= set(extras)
@@ -66,7 +64,7 @@ def test_the_installation_commands_and_the_demo(bench):
 
 
 def test_the_other_commands_run(bench):
-    arguments = [shlex.split(line) for line in commands() if not line.startswith("python3 -m venv")]
+    arguments = [shlex.split(line) for line in readme_commands() if not line.startswith("python3 -m venv")]
     assert {words[0] for words in arguments} == {"smajax"}
     for words in arguments:
         result = run([sys.executable, "-m", *words], bench)
@@ -74,26 +72,6 @@ def test_the_other_commands_run(bench):
 
 
 def test_the_python_code_runs(bench):
-    for text in blocks("python"):
+    for text in executed("python"):
         result = run([sys.executable, "-c", text], bench)
         assert result.returncode == 0, result.stderr
-
-
-def test_the_python_code_of_the_page_on_python_runs(bench):
-    code = blocks("python", PYTHON_PAGE)
-    result = run([sys.executable, "-c", "\n".join(code)], bench)
-    assert len(code) > 4 and result.returncode == 0, result.stderr
-
-
-# Pages with Python, without those that have a test of their own.
-PAGES = [
-    page
-    for page in sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")])
-    if page.stem not in ("use-python", "import-a-file") and blocks("python", page.read_text("utf-8"))
-]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_python_code_of_other_pages_runs(bench, page):
-    result = run([sys.executable, "-c", "\n".join(blocks("python", page.read_text("utf-8")))], bench)
-    assert result.returncode == 0, result.stderr
