@@ -1,5 +1,6 @@
 """The ``smajax`` command: commands in the order of ``--help``, and exit codes."""
 
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -8,6 +9,8 @@ from typer.core import TyperGroup
 from smajax import __version__
 from smajax.app.command_line import designs, files, importing, models, properties
 from smajax.app.loading import raise_on_interrupt
+from smajax.app.output import say_on_stderr
+from smajax.errors import Cancelled
 
 # Packages whose exceptions are usage errors and exits, which typer handles.
 _TYPER_MODULES = ("typer", "click")
@@ -15,6 +18,20 @@ _TYPER_MODULES = ("typer", "click")
 
 class Commands(TyperGroup):
     """Group of commands that reports every error as a sentence with an exit code."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Run the command line; a mistake in it is one sentence, where typer prints a box of several lines."""
+        if not standalone_mode:
+            return super().main(*args, standalone_mode=False, **extra)
+        try:
+            code = super().main(*args, standalone_mode=False, **extra)
+        except typer.Abort:  # the end of the input at a question
+            sys.exit(Cancelled.exit_code)
+        except Exception as error:
+            if not hasattr(error, "format_message"):
+                raise
+            sys.exit(_report_usage_error(error))
+        sys.exit(code or 0)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command and report its errors."""
@@ -27,6 +44,18 @@ class Commands(TyperGroup):
             from smajax.app.console import exit_code
 
             raise typer.Exit(exit_code(error)) from None
+
+
+def _report_usage_error(error: Any) -> int:
+    """Print one of typer's errors in one sentence, and return its exit code."""
+    message = error.format_message()
+    context = getattr(error, "ctx", None)
+    if not message.strip():  # the help, which is printed already
+        return int(error.exit_code)
+    command = context.command_path if context is not None else "smajax"
+    words = message.strip().rstrip(".").replace("Value error, ", "")
+    say_on_stderr(f"{words[:1].lower()}{words[1:]}: '{command} --help' shows what it takes")
+    return int(error.exit_code)
 
 
 app: typer.Typer = typer.Typer(

@@ -1,9 +1,11 @@
 """Console: interruption, exit codes, error messages and the browser.
 
-Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 failed numerics, 130 interrupted.
+Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 failed numerics or a lack of memory, disk or processes,
+130 interrupted.
 """
 
 import contextlib
+import errno
 import os
 import signal
 import sys
@@ -19,6 +21,19 @@ from smajax.errors import Cancelled, InputError, NumericsError, printable_senten
 from smajax.progress import Progress, ProgressEvent
 
 FAULT = 1
+# What the messages of JAX's allocator contain.
+_OUT_OF_MEMORY = ("RESOURCE_EXHAUSTED", "Out of memory")
+_NOTHING_LOST = "earlier results are as they were"
+# Errors of the system that no file of the user causes, with the cure.
+_SHORTAGES = {
+    errno.ENOSPC: "make room on the disk",
+    getattr(errno, "EDQUOT", errno.ENOSPC): "make room on the disk, or in your quota of it",
+    errno.EROFS: "name a folder elsewhere with --out",
+    errno.EMFILE: "raise the limit of open files ('ulimit -n')",
+    errno.ENFILE: "close other programs",
+    errno.ENOMEM: "close other programs, or use a machine with more memory",
+    errno.EAGAIN: "raise the limit of processes ('ulimit -u')",
+}
 
 
 class CommandProgress:
@@ -104,17 +119,30 @@ def exit_code(error: BaseException) -> int:
     if isinstance(error, KeyboardInterrupt):
         _print_error("interrupted; nothing was written")
         return Cancelled.exit_code
-    if isinstance(error, MemoryError):
-        _print_error("there is not enough memory for this: cut the recordings into parts, or lower --starts")
-        return FAULT
     if isinstance(error, BrokenPipeError):  # the output was closed, as in `smajax datasets | head`
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
-        return FAULT
+        return Cancelled.exit_code
+    if shortage := _shortage(error):
+        _print_error(shortage)
+        return NumericsError.exit_code
     _print_error(
         f"{type(error).__name__}: this is a fault in smajax, not in your files; its traceback is in "
         f"{_save_traceback(error)}"
     )
     return FAULT
+
+
+def _shortage(error: BaseException) -> str:
+    """Return the sentence on an error that a lack of memory, disk or processes causes; empty for another error."""
+    memory = "there is not enough memory for this: cut the recordings into parts, or lower --starts"
+    if isinstance(error, MemoryError) or any(text in str(error) for text in _OUT_OF_MEMORY):
+        return memory
+    if "can't start new thread" in str(error):
+        return f"the system starts no further threads: raise its limit of processes, or end others; {_NOTHING_LOST}"
+    if not isinstance(error, OSError) or error.errno not in _SHORTAGES:
+        return ""
+    name = f"{error.filename}: " if error.filename else ""
+    return f"{name}the system refuses ({error.strerror}): {_SHORTAGES[error.errno]}; {_NOTHING_LOST}"
 
 
 def open_in_browser(page: Path) -> bool:

@@ -78,6 +78,8 @@ def check_output_file(path: Path, option: str) -> None:
 
 def similar_name(path: Path) -> str:
     """Return `` (did you mean 'x'?)`` for the most similar name in the folder of a missing file, or an empty text."""
+    if path.is_symlink():
+        return " at the end of this symbolic link"
     names = [other.name for other in path.parent.iterdir()] if path.parent.is_dir() else []
     return suggestion(path.name, names)
 

@@ -56,7 +56,7 @@ def _csv(delimiter: str = ",", decimal: str = ".", encoding: str = "utf-8", end:
 
 
 def _stamped_csv() -> bytes:
-    rows = [f"2024-03-01 12:00:{k:02d}.5,{c:.3f},{d:.3f}" for k, (_, c, d) in enumerate(MATRIX)]
+    rows = [f"2024-03-01 12:00:{k // 2:02d}.{5 * (k % 2)},{c:.3f},{d:.3f}" for k, (_, c, d) in enumerate(MATRIX)]
     return "\n".join([",".join(["time", *list(COLUMNS)[1:]]), *rows, ""]).encode()
 
 

@@ -116,7 +116,7 @@ class TopicTable(Table):
         for count, (name, time, message) in enumerate(self._file.messages(list(topics)), 1):
             topic = topics[name]
             stamp = header_stamp(message) or 0
-            if not (0 <= time <= _LAST_STAMP and 0 <= stamp <= _LAST_STAMP):
+            if not all(isinstance(value, int) and 0 <= value <= _LAST_STAMP for value in (time, stamp)):
                 cure = "correct it, or export the topics as CSV"
                 raise InputError(f"{self.path}: message {count} of topic {name} has an impossible stamp: {cure}")
             topic.recorded.append(time)
