@@ -27,6 +27,8 @@ from smajax.numerics.loop_kernels import jit_with_kernels
 
 # Number of cases in one call of the compiled program; chosen by trial for speed.
 BATCH = 32
+# Response where a case begins after the first jump.
+_NO_JUMP = StepResponse(0.0, 0.0, 0.0)
 
 
 class WorstCase(NamedTuple):
@@ -98,6 +100,7 @@ def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[C
     responses: list[tuple[StepResponse, ...]] = []
     unstable: list[int] = []
     beyond: dict[str, list[int]] = {}
+    count = len(jump_responses(task, np.asarray(task.scenario.reference)))
     for first in range(0, len(cases), BATCH):
         # The last batch is padded with the last case, so that one compiled program serves all batches.
         batch = [cases[min(k, len(cases) - 1)] for k in range(first, first + BATCH)]
@@ -105,8 +108,11 @@ def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[C
         channels, commands = {n: np.asarray(v) for n, v in result.channels.items()}, np.asarray(result.command)
         for k in range(min(BATCH, len(cases) - first)):
             own = {n: v[k] for n, v in channels.items()}
-            metrics.append(rollout_metrics(task, own, commands[k]))
-            responses.append(tuple(jump_responses(task, own[task.loop.channel])))
+            of_case = _resting_task(task) if batch[k].rests else task
+            jumps = jump_responses(of_case, own[task.loop.channel])
+            missing = (_NO_JUMP,) * (count - len(jumps))
+            responses.append((*missing, *jumps))
+            metrics.append({**(_NO_JUMP._asdict() if missing else {}), **rollout_metrics(of_case, own, commands[k])})
             for name in violated_limits(task.limits, metrics[-1]):
                 beyond.setdefault(name, []).append(first + k)
             is_quiet = not np.any(batch[k].noise)
@@ -114,6 +120,12 @@ def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[C
                 unstable.append(first + k)
     rows = {name: tuple(numbers) for name, numbers in beyond.items()}
     return CaseCheck(tuple(cases), tuple(metrics), tuple(responses), tuple(unstable), rows)
+
+
+def _resting_task(task: ControlTask) -> ControlTask:
+    """The task of a loop that rests at the first reference, which then is no jump."""
+    scenario = task.scenario
+    return dataclasses.replace(task, scenario=dataclasses.replace(scenario, initial_reference=scenario.reference[0]))
 
 
 def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequence[Case]) -> Rollout:

@@ -18,6 +18,9 @@ NOISE_CASES = 64
 MIN_NOISE_CASES = 59
 # Range of the ambient temperature about that of the rig, K: that of a room over a day.
 AMBIENT_RANGE = 3.0
+# The temperature of the rig and both ends of the range, as shares of it; that many members of a search have no noise.
+_ENDS = np.array([0.0, 1.0, -1.0])
+QUIET_MEMBERS = len(_ENDS)
 # Number of cases with another ambient temperature, the ends of the range included; of cases for each start of the loop;
 # and of cases for each rounding of the gains. Chosen so that all cases together fill whole batches.
 _AMBIENT_CASES = 29
@@ -84,6 +87,8 @@ def ambient_temperature(task: ControlTask, draws: Mapping[str, Any] | None = Non
 def ambient_members(task: ControlTask, count: int, draws: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " count"]]:
     """Return ambient temperatures for the members of a search: that of the rig, both ends, and values in between.
 
+    The last ``QUIET_MEMBERS`` members have the temperature of the rig and both ends again.
+
     Args:
         task: The control task.
         count: Number of members.
@@ -95,8 +100,9 @@ def ambient_members(task: ControlTask, count: int, draws: Mapping[str, Any]) -> 
     ambient = ambient_temperature(task, draws)
     if ambient is None or count < 2:
         return {}
-    shares = np.concatenate([[0.0, 1.0, -1.0], scipy.stats.qmc.Halton(1, rng=0).random(count)[:, 0] * 2.0 - 1.0])
-    return {_AMBIENT: ambient + AMBIENT_RANGE * shares[:count]}
+    shares = np.concatenate([_ENDS, scipy.stats.qmc.Halton(1, rng=0).random(count)[:, 0] * 2.0 - 1.0])[:count]
+    shares[-QUIET_MEMBERS:] = _ENDS[:count]
+    return {_AMBIENT: ambient + AMBIENT_RANGE * shares}
 
 
 def make_cases(

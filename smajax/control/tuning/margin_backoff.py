@@ -1,6 +1,7 @@
-"""Smaller gains with the usual margins, where they cost little of the objective."""
+"""Smaller loop gains: with the usual margins, where they cost little of the objective."""
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.control.analysis.closed_loop_checks import GainEvaluation, evaluate_gains
 from smajax.control.analysis.margins import has_usual_margins
@@ -16,6 +17,26 @@ _LOOP_GAINS = ("kp", "ki", "kd")
 # data/controllers/dead-weight.toml.
 _FACTOR = 0.9
 _COST_SHARE = 0.1
+
+
+def reduced_points(
+    problem: TuningProblem, point: Float[np.ndarray, " gains"], count: int
+) -> Float[np.ndarray, "points gains"]:
+    """Return points at which the loop gain is 0.9^k of that at a point, k = 0, 1, ...; none is outside of the bounds.
+
+    Args:
+        problem: The tuning problem.
+        point: The point of the unit box, shape ``(p,)``.
+        count: Number of points.
+
+    Returns:
+        Points, shape ``(count, p)``; all are the same if no gain multiplies the error.
+    """
+    rows = [i for i, name in enumerate(problem.names) if name in _LOOP_GAINS]
+    width = np.log(np.asarray(problem.upper) / np.asarray(problem.lower))
+    points = np.tile(point, (count, 1))
+    points[:, rows] += np.arange(count)[:, None] * np.log(_FACTOR) / np.where(width > 0.0, width, np.inf)[rows]
+    return np.clip(points, 0.0, 1.0)
 
 
 def reduce_loop_gain(
@@ -34,15 +55,11 @@ def reduce_loop_gain(
     Returns:
         The gains, and the behaviour of the rig's own plant with them.
     """
-    rows = [i for i, name in enumerate(problem.names) if name in _LOOP_GAINS]
-    if not rows or not result.feasible or result.interrupted or has_usual_margins(evaluation.margins):
+    has_loop_gain = any(name in _LOOP_GAINS for name in problem.names)
+    if not has_loop_gain or not result.feasible or result.interrupted or has_usual_margins(evaluation.margins):
         return result, evaluation
     search = GainSearch(problem, make_objective(task.weights, task.limits, task.band), lambda count, cost: None)
-    width = np.log(np.asarray(problem.upper) / np.asarray(problem.lower))
-    points = np.tile(result.point, (BATCH, 1))
-    for k in range(BATCH):
-        points[k, rows] += k * np.log(_FACTOR) / width[rows]
-    candidates = search.candidates(np.clip(points, 0.0, 1.0))
+    candidates = search.candidates(reduced_points(problem, result.point, BATCH))
     most = (1.0 + _COST_SHARE) * candidates[0].cost
     counted = result._replace(rollouts=result.rollouts + search.rollouts)
     for candidate in candidates[1:]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from smajax import parameters
 from smajax.control.analysis.case_check import CaseCheck, check_cases
-from smajax.control.analysis.cases import DRAWN_CASES, Case, ambient_members, make_cases
+from smajax.control.analysis.cases import DRAWN_CASES, QUIET_MEMBERS, Case, ambient_members, make_cases
 from smajax.control.analysis.closed_loop_checks import (
     DrawChecks,
     GainEvaluation,
@@ -359,9 +359,9 @@ def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: in
     count = LIMITED_NOISE_DRAWS if settings.check > 1 and settings.limits else NOISE_DRAWS
     noise = noise_draws(settings.loop, settings.scenario, robust.draws if robust else count, seed)
     if settings.check > 1 and len(noise) > 1:
-        noise = noise.at[-1].set(0.0)
         if settings.limits:
             members |= ambient_members(settings, len(noise), draws)
+        noise = noise.at[-QUIET_MEMBERS if settings.limits else -1 :].set(0.0)
     # Gains that are limited, or tuned for several plants, are evaluated as they are.
     spread = 0.0 if settings.limits or settings.settle or robust else GAIN_SPREAD
     return TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, members, noise, spread)
