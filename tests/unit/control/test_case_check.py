@@ -18,7 +18,7 @@ from smajax.control.controller_file.read import read_controller
 from smajax.control.loop.gains import gain
 from smajax.control.loop.rollout import Scenario, simulate_loop
 from smajax.control.tuning import case_retuning
-from smajax.control.tuning.margin_backoff import reduce_loop_gain
+from smajax.control.tuning.margin_backoff import reduce_loop_gain, reduced_points
 from smajax.control.tuning.objective import SOFT_OVERSHOOT, TERMS, make_objective
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
 from smajax.control.tuning.tune import TuningResult
@@ -133,7 +133,7 @@ def test_gains_are_tuned_again_for_cases_that_miss_a_limit(tmp_path, monkeypatch
         return [Case("noise", f"{repeat}, {k}", quiet + 10 * repeat + k, 0.0, {}) for k in range(3)]
 
     def check_stub(task, gains, cases):
-        values = overshoots[gains["kp"]]
+        values = overshoots.get(gains["kp"], (0.2, 0.2, 0.2))
         rows = tuple(k for k, v in enumerate(values) if v > 0.1)
         metrics = tuple({"overshoot": v} for v in values)
         return case_check.CaseCheck(tuple(cases), metrics, ((),) * 3, (), {"overshoot": rows} if rows else {})
@@ -157,6 +157,11 @@ def test_gains_are_tuned_again_for_cases_that_miss_a_limit(tmp_path, monkeypatch
     assert judged.result.gains["kp"] == 30.0 and judged.rounds == 3 and len(judged.check.failing) == 2
     judged = case_retuning.judge_gains(task, problem, result._replace(feasible=False), cases, Progress(True))
     assert judged.rounds == 0 and len(judged.check.failing) == 2
+    # A smaller loop gain is the last resort.
+    smaller = float(problem.gains(reduced_points(problem, problem.start, 3)[2])["kp"])
+    overshoots[smaller] = (0.09, 0.1, 0.05)
+    judged = case_retuning.judge_gains(task, problem, result, cases, Progress(True))
+    assert judged.result.gains["kp"] == smaller == pytest.approx(30.0 * 0.9**2) and not judged.check.failing
 
 
 def test_a_limit_that_cases_miss_ends_with_the_numbers_and_exit_code_3(tmp_path, monkeypatch):
@@ -169,6 +174,7 @@ def test_a_limit_that_cases_miss_ends_with_the_numbers_and_exit_code_3(tmp_path,
     fixed = TuningResult(np.full(2, 0.5), gains, {}, {}, True, 0.0, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: fixed)
     monkeypatch.setattr(case_retuning, "_search", lambda *_: fixed)
+    monkeypatch.setattr(case_retuning, "_REDUCTIONS", 0)
     monkeypatch.setattr("smajax.control.tuning.tuning_study.reduce_loop_gain", lambda task, problem, *found: found)
     content = levels + f'[limits]\novershoot = "{100 * limit:.6f} %"\n'
     (tmp_path / "one.toml").write_text(content.replace("[tune]\n", "[tune]\ncheck = 1\n"))
