@@ -8,6 +8,7 @@ from docs.generate.markdown import table
 from smajax.plant.effects import catalogue
 from smajax.units import as_text
 
+HEAD = ("effect", "equation", "typical strength s", "source of that size")
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 # Second thermal node, which several effects of the heat stage are.
 _NODE = r"q' = q - s G (T - T_a - u), \quad \tau \dot u = T - T_a - u"
@@ -74,13 +75,18 @@ EQUATIONS: dict[str, str] = {
 
 
 def effect_equations() -> str:
-    """Return a table of each stage: effect, equation, unit and typical size of the strength."""
+    """Return a table of each stage: effect, equation, typical size of the strength and its source."""
     parts = []
     for stage in STAGES:
         rows = [
-            (f"[{key}](../reference/effects.md#{key})", f"${EQUATIONS[key]}$", as_text(effect.typical, effect.unit()))
+            (
+                f"[{key}](../reference/effects.md#{key})",
+                f"${EQUATIONS[key]}$",
+                as_text(effect.typical, effect.unit()),
+                effect.source,
+            )
             for key, effect in sorted(catalogue().items())
             if effect.stage == stage
         ]
-        parts.append(f"\n### Effects on the {stage}\n\n{table(('effect', 'equation', 'typical strength s'), rows)}")
+        parts.append(f"\n### Effects on the {stage}\n\n{table(HEAD, rows)}")
     return "\n".join(parts)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from experiments.common.base import Row
+from experiments.common.charts import Chart, Curve, write_panels
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.files.plausible_ranges import ImplausibleValue
 from smajax.files.rig_file import Rig
+from smajax.recordings.recording import Recording
 from smajax.report.diagnosis_wording import rejection_text
 
 
@@ -137,3 +140,24 @@ def effect_rows(result: TraceResult, prefix: str = "") -> list[Row]:
         text = " ".join(v.sentence for v in values) or "none"
         rows.append(Row(f"{prefix}{what}: estimates outside of what an alloy can have", "-", text, None))
     return rows
+
+
+def draw_before_and_after(recording: Recording, result: TraceResult, title: str, path: Path) -> None:
+    """Draw the strain of a held-out thermal cycle, and its residual without and with the effects.
+
+    Args:
+        recording: The recording, with temperature and strain.
+        result: The fits without and with effects.
+        title: Title of the picture.
+        path: Its SVG file.
+    """
+    temperature, measured = recording.channels["temperature"], 100 * recording.channels["strain"]
+    residuals = [100 * part[1]["strain"] for part in (result.before, result.after)]
+    names = ("fitted model", f"with {' and '.join(result.refit.effect_set.keys) or 'no effect'}")
+    models = [Curve(n, temperature, measured - r, dashed=True) for n, r in zip(names, residuals, strict=True)]
+    # The first curve is the same in both charts, so that equal colours have equal names.
+    zero = Curve("measured", temperature, np.zeros(len(temperature)))
+    lines = [zero, *(Curve(n, temperature, r) for n, r in zip(names, residuals, strict=True))]
+    strain = Chart(title, "temperature [degC]", "strain [%]", [Curve("measured", temperature, measured), *models])
+    residual = Chart("Residual before and after", "temperature [degC]", "measured - model [% strain]", lines)
+    write_panels([strain, residual], path)

@@ -1,4 +1,4 @@
-"""The figure of the README: the contraction of the shipped wire on a recording that the fit has not used.
+"""The contraction of the shipped wire on a recording that the fit has not used.
 
     python experiments/docs/held_out.py [--json FILE] [--out DIR]
 

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.base import DATA, Row, agreement, arguments, estimate_rows, finish, fit_from_starts, refuse, say
 from experiments.common.charts import Chart, Curve, draw
-from experiments.common.effect_trace import TraceResult, effect_rows, trace_effects
+from experiments.common.effect_trace import TraceResult, draw_before_and_after, effect_rows, trace_effects
 
 import numpy as np
 import scipy.io
@@ -360,6 +360,9 @@ def main() -> None:
                 )
             )
             rows += effect_rows(traced, f"{level} MPa held out, {select} MPa selecting: ")
+            if args.out:
+                title = f"A Flexinol wire under {level} MPa, to which nothing was fitted"
+                draw_before_and_after(levels[level], traced, title, args.out / f"isobaric_{level}_before_after.svg")
         agreement_row = agreement(fits)
         rows.append(dataclasses.replace(agreement_row, what=f"{level} MPa held out: {agreement_row.what}"))
         rows += estimate_rows(result, f"{level} MPa held out: ")
