@@ -42,6 +42,7 @@ from smajax.sweeps.compilation import check_memory
 from smajax.sweeps.design_input import design_input, refined_files
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.refinement import RefinedDesign
+from smajax.sweeps.size import SweepSize, require_size, sweep_size
 from smajax.sweeps.space import pick_and_freeze
 from smajax.sweeps.sweep_file import SweepFile, read_sweep
 from smajax.sweeps.table import read_table, read_units, write_table
@@ -149,6 +150,7 @@ class _Designs(NamedTuple):
         header: Header that identifies the sweep.
         chunks: Chunks of all designs.
         count: Number of designs of the sweep; the designs of the Sobol indices follow them.
+        size: Estimated size of the sweep.
     """
 
     sweep: SweepFile
@@ -156,6 +158,7 @@ class _Designs(NamedTuple):
     header: Mapping[str, Any]
     chunks: Sequence[Chunk]
     count: int
+    size: SweepSize
 
 
 def _recording_note(sweep: SweepFile) -> str:
@@ -209,21 +212,26 @@ def _sweep(
 
 def _draw(sweep: SweepFile, header: Mapping[str, Any], path: Path) -> _Designs:
     """Draw the designs of the sweep and of the Sobol indices, and split them into chunks."""
-    problem = sweep.problem()
-    designs, base = sweep.designs(), sweep.sobol_base()
+    problem, base = sweep.problem(), sweep.sobol_base()
+    size = sweep_size(problem, sweep.axes, sweep.count + base * (len(sweep.axes) + 2), sweep.gradients)
+    try:
+        require_size(size)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    designs = sweep.designs()
     sobol_designs = pick_and_freeze(sweep.axes, base, sweep.seed) if base else np.zeros((0, len(sweep.axes)))
     chunks = split_into_chunks(problem, np.concatenate([designs, sobol_designs]), sweep.chunk)
     try:
         check_memory(problem, max(chunk.steps for chunk in chunks), sweep.gradients)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return _Designs(sweep, problem, header, chunks, len(designs))
+    return _Designs(sweep, problem, header, chunks, len(designs), size)
 
 
 def _simulate(designs: _Designs, folder: Path, submit: Submit, reporter: Reporter, clock: Clock) -> bool:
     """Simulate the missing chunks, and return whether all are finished."""
     total = sum(len(chunk.rows) for chunk in designs.chunks)
-    chunks = len(designs.chunks)
+    chunks, time = len(designs.chunks), designs.size.time_text
 
     def report(count: int) -> None:
         with contextlib.suppress(KeyboardInterrupt):  # the run ends after this group of chunks
@@ -231,7 +239,7 @@ def _simulate(designs: _Designs, folder: Path, submit: Submit, reporter: Reporte
 
     with clock.time("simulate"):
         with contextlib.suppress(KeyboardInterrupt):
-            reporter.phase(f"compiling, then {total:,} designs in {_counted(designs.chunks)}", can_stop=True)
+            reporter.phase(f"compiling, then {total:,} designs in {_counted(designs.chunks)}{time}", can_stop=True)
         if reporter.stopped:
             return False
         return run_chunks(designs.chunks, designs.problem.names, folder, submit, report, lambda: reporter.stopped)

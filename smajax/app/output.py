@@ -1,10 +1,11 @@
-"""Output of the commands: what a terminal would act on, or cannot show, is printed as escapes."""
+"""Output of the commands: what a terminal would act on, or cannot show, is printed as escapes.
+
+``print`` writes in the encoding of the console, where ``typer.echo`` takes ASCII for UTF-8.
+"""
 
 import io
 import json
 import sys
-
-import typer
 
 from smajax.errors import printable, printable_sentence
 
@@ -22,7 +23,7 @@ def say(text: object) -> None:
     Args:
         text: The text.
     """
-    typer.echo(printable(str(text)))
+    print(printable(str(text)), flush=True)
 
 
 def say_on_stderr(text: str) -> None:
@@ -31,7 +32,7 @@ def say_on_stderr(text: str) -> None:
     Args:
         text: The sentence, without the name of the command.
     """
-    typer.echo(f"smajax: {printable_sentence(text)}", err=True)
+    print(f"smajax: {printable_sentence(text)}", file=sys.stderr, flush=True)
 
 
 def say_json(text: str) -> None:
@@ -43,7 +44,7 @@ def say_json(text: str) -> None:
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     # Only strings of JSON have characters beyond ASCII.
     shown = (c if c.isascii() or _is_shown(c, encoding) else json.dumps(c)[1:-1] for c in text)
-    typer.echo("".join(shown), nl=False)
+    print("".join(shown), end="", flush=True)
 
 
 def _is_shown(character: str, encoding: str) -> bool:

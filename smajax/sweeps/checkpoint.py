@@ -67,7 +67,7 @@ def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> 
         try:
             write_text(folder / _IDENTITY, json.dumps(_identity(header)) + "\n")
             yield folder
-        except Exception:
+        except BaseException:  # Ctrl-C before the first chunk as well
             if not any(folder.glob("chunk-*.parquet")):
                 shutil.rmtree(folder, ignore_errors=True)
             raise

@@ -1,6 +1,5 @@
 """Design space: its axes, and the sampling of designs from it."""
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -93,7 +92,8 @@ def draw_designs(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> 
         Designs in internal units, shape ``(designs, axes)``.
     """
     if sampling == "grid":
-        return np.array(list(itertools.product(*(axis.grid() for axis in axes))), dtype=np.float64)
+        points = np.meshgrid(*(axis.grid() for axis in axes), indexing="ij", copy=False)
+        return np.stack([values.ravel() for values in points], axis=-1).astype(np.float64)
     if sampling == "sobol":
         shares = _sobol_points(len(axes), count, seed)
     else:

@@ -1,0 +1,183 @@
+"""Commands that are interrupted and killed at random moments: earlier results stay whole, and no half folder is left.
+
+    python experiments/speed/interruptions.py [--quick] [--json FILE] [--out DIR]
+
+fit, diagnose, compare, tune and sweep run once undisturbed. Then each runs again into the folder of that result, and at
+a random moment it gets SIGINT (Ctrl-C), SIGINT twice, or SIGKILL. Afterwards the folder has to be the earlier result,
+byte for byte, or a complete new one; nothing else may be next to it but what the next run removes or resumes. Ctrl-C
+has to end with the exit code 130 (or that of the complete result) and one sentence, a second one at once. Each sweep is
+resumed at the end, and its table has to be that of the undisturbed one, byte for byte.
+"""
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
+
+from experiments.common.base import ROOT, Row, arguments, finish, say
+
+COMMANDS = {
+    "fit": ["fit", "example.toml", "train.csv", "--holdout", "holdout.csv"],
+    "diagnose": ["diagnose", "example.toml", "train.csv", "--select", "select.csv", "--holdout", "holdout.csv"],
+    "compare": ["compare", "example.toml", "train.csv", "--holdout", "holdout.csv", "--models", "brinson,tanaka"],
+    "tune": ["tune", "example.toml", "controller.toml"],
+    "sweep": ["sweep", "sweep.toml"],
+}
+# Seconds within which a run ends after a second Ctrl-C: the signal is handled between two instructions of Python.
+AT_ONCE = 5.0
+# Seconds after which a run that does not end is a fault, on a busy machine.
+LONGEST = 900.0
+WAYS = ("ctrl-c", "kill", "ctrl-c twice", "kill")
+
+
+def start(folder: Path, words: list[str], out: str, *options: str) -> subprocess.Popen:
+    """Start a command as a user does, in its own process group.
+
+    Args:
+        folder: Folder of its files.
+        words: The command.
+        out: Name of the result folder.
+        *options: Further options.
+    """
+    call = [sys.executable, "-c", "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+            " from smajax.__main__ import main; main()", *words, "--out", out, *options]  # fmt: skip
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(call, cwd=folder, env=environment, start_new_session=True, **pipes)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Return the files of a folder with their bytes."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())} if folder.is_dir() else {}
+
+
+def is_complete(files: dict[str, bytes]) -> bool:
+    """Return whether the files are those of a complete result: all that run.json names, whose JSON can be read."""
+    try:
+        run = json.loads(files["run.json"])
+        for name in files:
+            if name.endswith(".json"):
+                json.loads(files[name])
+    except (KeyError, ValueError):
+        return False
+    return set(run["files"]) == set(files) and b"</html>" in files.get("report.html", b"</html>")
+
+
+def interrupt(folder: Path, command: str, way: str, span: float) -> dict[str, object]:
+    """Run a command and end it at a random moment; return what was found.
+
+    Args:
+        folder: Folder of its files, with the earlier result in ``out``.
+        command: Name of the command.
+        way: One of ``WAYS``.
+        span: Seconds that the undisturbed command takes.
+    """
+    before, names = content(folder / "out"), set(os.listdir(folder))
+    process = start(folder, COMMANDS[command], "out", *(("--resume",) if (folder / "out.partial").exists() else ()))
+    moment = random.uniform(0.0, 1.05) * span
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=moment)
+    alive = process.poll() is None
+    sent = time.perf_counter()
+    if alive and way == "kill":
+        os.killpg(process.pid, signal.SIGKILL)
+    elif alive:
+        os.kill(process.pid, signal.SIGINT)
+        if way == "ctrl-c twice":
+            time.sleep(random.uniform(0.0, 0.3))
+            if process.poll() is None:
+                os.kill(process.pid, signal.SIGINT)
+                sent = time.perf_counter()
+    try:
+        _, errors = process.communicate(timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        _, errors = process.communicate()
+        errors += "\nhangs"
+    seconds = time.perf_counter() - sent
+    after = content(folder / "out")
+    others = set(os.listdir(folder)) - names - {"out.partial"}
+    hidden = {name for name in others if name.startswith(".out.") and name.endswith(".part")}
+    last = [line for line in errors.strip().splitlines() if line][-1:] or [""]
+    code_is_good = process.returncode in ((-signal.SIGKILL,) if way == "kill" and alive else (0, 3, 130))
+    problems = {
+        "result": after != before and not is_complete(after),
+        "left": bool(others - hidden) or (bool(hidden) and way != "kill"),
+        "code": not code_is_good or "hangs" in errors,
+        "sentence": process.returncode == 130 and not last[0].startswith("smajax: "),
+        "traceback": "Traceback" in errors or "fault in smajax" in errors,
+        "slow": way == "ctrl-c twice" and alive and seconds > AT_ONCE,
+    }
+    for name in hidden:  # what the next run removes when it is an hour old
+        shutil.rmtree(folder / name, ignore_errors=True)
+    found = [name for name, is_problem in problems.items() if is_problem]
+    say(f"{command} {way} at {moment:.1f} s: code {process.returncode}, {seconds:.1f} s, {found or 'good'}")
+    if found:
+        say(errors[-2000:])
+    return {"way": way if alive else "ended before", "problems": found, "hidden": len(hidden), "seconds": seconds}
+
+
+def interrupt_command(folder: Path, command: str, count: int) -> tuple[list[dict[str, object]], bool]:
+    """Interrupt a command many times; return what was found, and whether its table is that of the undisturbed run.
+
+    Args:
+        folder: Folder of its files.
+        command: Name of the command.
+        count: How often.
+    """
+    begin = time.perf_counter()
+    start(folder, COMMANDS[command], "out").communicate()
+    start_again = time.perf_counter()
+    start(folder, COMMANDS[command], "again").communicate()  # with programs from the cache, as the runs below
+    span = time.perf_counter() - start_again
+    say(f"{command}: {start_again - begin:.1f} s, then {span:.1f} s")
+    whole, again = content(folder / "out"), content(folder / "again")
+    assert is_complete(whole) and is_complete(again), command
+    shutil.rmtree(folder / "again")
+    found = [interrupt(folder, command, WAYS[k % len(WAYS)], span) for k in range(count)]
+    same = True
+    if command == "sweep":
+        resume = ["--resume"] if (folder / "out.partial").exists() else []
+        start(folder, COMMANDS[command], "out", *resume).communicate()
+        same = content(folder / "out").get("sweep.parquet") == whole["sweep.parquet"]
+        same = same and not (folder / "out.partial").exists()
+    return found, same
+
+
+def main() -> None:
+    """Print the table."""
+    args = arguments(__doc__ or "")
+    count = 4 if args.quick else 20
+    random.seed(0)
+    rows = []
+    for command in COMMANDS:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            subprocess.run(
+                [sys.executable, "-m", "smajax", "init", "dead-weight", "--out", name],
+                cwd=ROOT,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+            found, same = interrupt_command(folder, command, count)
+        ways = Counter(str(entry["way"]) for entry in found)
+        problems = Counter(problem for entry in found for problem in entry["problems"])  # type: ignore[attr-defined]
+        text = f"{dict(problems) or 'none'} ({', '.join(f'{n} {way}' for way, n in ways.items())})"
+        rows.append(Row(f"{command}: problems of {count} interruptions", "none", text, not problems, dict(ways)))
+        if command == "sweep":
+            rows.append(Row("the resumed table", "the same bytes", "the same" if same else "others", same))
+    finish(rows, args, interruptions=count * len(COMMANDS))
+
+
+if __name__ == "__main__":
+    main()
