@@ -60,7 +60,7 @@ def tune(
     seed: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> TuningStudy:
-    """Tune a controller's gains by gradients of its closed loop with the rig, check them, and export the controller.
+    """Tune a controller's gains in its closed loop with the rig, check them, and export the controller.
 
     Args:
         rig: The rig, its file, or a dictionary with the sections of one.

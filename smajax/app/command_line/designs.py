@@ -21,7 +21,7 @@ def tune(
     as_json: Json = False,
     open_report: Open = False,
 ) -> None:
-    """Tune a controller's gains by gradients of its closed loop with the rig; write them for a microcontroller."""
+    """Tune a controller's gains in its closed loop with the rig; write them for a microcontroller."""
     check_files(toml={"rig": rig, "controller": controller}, out=out)
     with start_run(quiet) as progress:
         from smajax.api.tune import tune as tune_gains
