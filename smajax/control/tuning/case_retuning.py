@@ -41,6 +41,39 @@ class JudgedGains(NamedTuple):
     rounds: int
 
 
+class _Judge:
+    """Checks gains on cases, each time on new ones unless they are chosen among others."""
+
+    def __init__(self, task: TuningTask, problem: TuningProblem, cases: Callable[[int], Sequence[Case]]) -> None:
+        self._task, self._problem, self._cases, self._count = task, problem, cases, 0
+
+    def check(self, gains: Mapping[str, float]) -> CaseCheck:
+        """Check gains on new cases."""
+        self._count += 1
+        return check_cases(self._task, gains, self._cases(self._count - 1))
+
+    def best_of(self, result: TuningResult) -> tuple[TuningResult, CaseCheck]:
+        """Return the gains and their check, or the first alternative that fails in no case, also not in new ones."""
+        check = self.check(result.gains)
+        for point in result.alternatives if check.failing else ():
+            gains = self.gains(point)
+            if not check_cases(self._task, gains, check.cases).failing and not (again := self.check(gains)).failing:
+                return result._replace(point=point, gains=gains), again
+        return result, check
+
+    def reduced(self, result: TuningResult) -> tuple[TuningResult, CaseCheck] | None:
+        """Return the gains with the largest loop gain that fails in no case, and their check; ``None`` without any."""
+        for point in reduced_points(self._problem, result.point, 1 + _REDUCTIONS)[1:]:
+            gains = self.gains(point)
+            if not (check := self.check(gains)).failing:
+                return result._replace(point=point, gains=gains), check
+        return None
+
+    def gains(self, point: np.ndarray) -> dict[str, float]:
+        """Return the gains at a point."""
+        return {name: float(v) for name, v in self._problem.gains(point).items()}
+
+
 def judge_gains(
     task: TuningTask,
     problem: TuningProblem,
@@ -50,9 +83,10 @@ def judge_gains(
 ) -> JudgedGains:
     """Check gains on cases, and tune them again up to three times for cases that violate a limit.
 
-    A search uses the failing cases and some of the others, with the limits that were exceeded tightened. Its gains are
-    checked on new cases, and used if fewer of them fail. Where some still fail, as loops that rest at the first
-    reference may, which no search simulates, the loop gain is reduced until none does.
+    Other gains of the search that cost little more are tried first. A new search uses the failing cases and some of the
+    others, with the limits that were exceeded tightened. Its gains are checked on new cases, and used if fewer of them
+    fail. Where some still fail, as loops that rest at the first reference may, which no search simulates, the loop gain
+    is reduced until none does.
 
     Args:
         task: The tuning task.
@@ -61,44 +95,35 @@ def judge_gains(
         cases: Returns the cases of a check by its number.
         progress: Receives the phases and steps; a ``KeyboardInterrupt`` of it ends the search.
     """
-    check = check_cases(task, result.gains, cases(0))
+    judge = _Judge(task, problem, cases)
+    result, check = judge.best_of(result)
     best, limits, seen, rounds = check, dict(task.limits), [], 0
     # Limits that the search could not keep for its own members are not kept on other cases.
     while best.beyond and rounds < _RETUNINGS and result.feasible and not result.interrupted:
         limits = _tightened(limits, task.limits, excess_of_limits(task.limits, check), _MAX_TIGHTENING[rounds])
         failing = sorted({k for rows in check.beyond.values() for k in rows}, key=lambda k: -_excess(task, check, k))
         seen = [*(check.cases[k] for k in failing), *seen][:_MOST_FAILING]
-        # Without noise, which dithers the wire, a loop behaves differently: these cases come first.
-        others = sorted((c for k, c in enumerate(check.cases) if k not in failing), key=lambda c: bool(np.any(c.noise)))
+        members = [*seen, *_others(check, failing)[: LIMITED_NOISE_DRAWS - len(seen)]]
+        words = f"{len(failing)} of {len(check.cases)} cases miss a limit: tuning again for them"
         try:
-            progress.phase(
-                f"{len(failing)} of {len(check.cases)} cases miss a limit: tuning again for them", can_stop=True
-            )
-            other = _search(
-                replace(task, limits=limits),
-                problem,
-                result,
-                [*seen, *others[: LIMITED_NOISE_DRAWS - len(seen)]],
-                progress,
-            )
+            progress.phase(words, can_stop=True)
+            other = _search(replace(task, limits=limits), problem, result, members, progress)
         except KeyboardInterrupt:
-            result = result._replace(interrupted=True)
-            break
+            return JudgedGains(result._replace(interrupted=True), best, rounds)
         rounds += 1
-        check = check_cases(task, other.gains, cases(rounds))
-        rollouts = result.rollouts + other.rollouts
-        is_better = _rank(task, check) < _rank(task, best)
-        best = check if is_better else best
-        result = (other if is_better else result)._replace(
-            rollouts=rollouts, feasible=True, interrupted=other.interrupted
-        )
+        other, check = judge.best_of(other)
+        rollouts, interrupted = result.rollouts + other.rollouts, other.interrupted
+        if _rank(task, check) < _rank(task, best):
+            result, best = other, check
+        result = result._replace(rollouts=rollouts, feasible=True, interrupted=interrupted)
     if best.beyond and result.feasible and not result.interrupted:
-        for step, point in enumerate(reduced_points(problem, result.point, 1 + _REDUCTIONS)[1:], start=1 + _RETUNINGS):
-            reduced = {name: float(v) for name, v in problem.gains(point).items()}
-            check = check_cases(task, reduced, cases(step))
-            if not check.failing:
-                return JudgedGains(result._replace(point=point, gains=reduced), check, rounds)
+        result, best = judge.reduced(result) or (result, best)
     return JudgedGains(result, best, rounds)
+
+
+def _others(check: CaseCheck, failing: Sequence[int]) -> list[Case]:
+    """Cases that do not fail; those without noise, which dithers the wire, come first, since loops differ there."""
+    return sorted((case for k, case in enumerate(check.cases) if k not in failing), key=lambda c: bool(np.any(c.noise)))
 
 
 def _rank(task: TuningTask, check: CaseCheck) -> tuple[int, float]:

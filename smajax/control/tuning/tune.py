@@ -33,6 +33,10 @@ _MIN_SCREENED = 16
 # Number of points that are evaluated to find the best one of a search that was stopped: the last improvements of the
 # local search that was running, and the ends of those before.
 _LATEST_REACHED = 8
+# Largest number of alternatives, and smallest ratio of the costs of two of them: they differ in gains that matter.
+# Chosen by experiments/control/random_tuning_tasks.py.
+_ALTERNATIVES = 16
+_COST_RATIO = 1.03
 
 
 class TuningResult(NamedTuple):
@@ -49,6 +53,7 @@ class TuningResult(NamedTuple):
         history: A row (rollouts; settling time in s, or sum of the weighted terms) for each improvement that keeps all
             limits.
         interrupted: Whether the search was stopped; the gains are then the best ones so far.
+        alternatives: Other points that keep all limits and cost little more, the best first.
     """
 
     point: np.ndarray
@@ -60,6 +65,7 @@ class TuningResult(NamedTuple):
     rollouts: int
     history: tuple[tuple[int, float], ...]
     interrupted: bool = False
+    alternatives: tuple[np.ndarray, ...] = ()
 
 
 def violation_rank(result: TuningResult) -> tuple[bool, float, float]:
@@ -144,6 +150,7 @@ def tune(
         rollouts=search.rollouts,
         history=tuple(search.history),
         interrupted=interrupted,
+        alternatives=() if settle or not limits else _alternatives(search),
     )
 
 
@@ -184,6 +191,16 @@ def _best_so_far(search: GainSearch, settle: bool, band: float) -> Float[np.ndar
     if not settle:
         return min(candidates, key=rank).point
     return min(candidates, key=lambda c: (c.violation, longest_settling(search.problem, c.point, band))).point
+
+
+def _alternatives(search: GainSearch) -> tuple[np.ndarray, ...]:
+    """Points that all members evaluated and that keep all limits, in the order of their costs, which differ."""
+    kept = sorted((c for c in search.evaluated if c.violation == 0.0), key=lambda c: c.cost)
+    chosen = kept[:1]
+    for candidate in kept:
+        if candidate.cost >= _COST_RATIO * chosen[-1].cost:
+            chosen.append(candidate)
+    return tuple(candidate.point for candidate in chosen[1 : 1 + _ALTERNATIVES])
 
 
 def _starts(search: GainSearch, starts: int, seed: int) -> Float[np.ndarray, "starts gains"]:

@@ -21,7 +21,7 @@ from smajax.control.tuning import case_retuning
 from smajax.control.tuning.margin_backoff import reduce_loop_gain, reduced_points
 from smajax.control.tuning.objective import SOFT_OVERSHOOT, TERMS, make_objective
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
-from smajax.control.tuning.tune import TuningResult
+from smajax.control.tuning.tune import TuningResult, tune
 from smajax.errors import InputError
 from smajax.files.rig_file import read_rig
 from smajax.progress import Progress
@@ -162,6 +162,47 @@ def test_gains_are_tuned_again_for_cases_that_miss_a_limit(tmp_path, monkeypatch
     overshoots[smaller] = (0.09, 0.1, 0.05)
     judged = case_retuning.judge_gains(task, problem, result, cases, Progress(True))
     assert judged.result.gains["kp"] == smaller == pytest.approx(30.0 * 0.9**2) and not judged.check.failing
+
+
+def test_an_alternative_that_fails_in_no_case_replaces_the_gains(tmp_path, monkeypatch):
+    """Also not in new cases, on which it was not chosen; no search is then repeated."""
+    task = dataclasses.replace(task_of(tmp_path), limits={"overshoot": 0.1})
+    problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
+    points = [np.full(len(problem.names), share) for share in (0.5, 0.6, 0.7, 0.8)]
+    kps = [float(problem.gains(point)["kp"]) for point in points]
+    # Overshoots on the first cases, on which alternatives are chosen, and on new ones.
+    overshoots = {kps[0]: (0.2, 0.2), kps[1]: (0.12, 0.05), kps[2]: (0.05, 0.12), kps[3]: (0.05, 0.06)}
+
+    def check_stub(task, gains, cases):
+        value = overshoots[gains["kp"]][min(cases[0].digits, 1)]
+        beyond = {"overshoot": (0,)} if value > 0.1 else {}
+        return case_check.CaseCheck(tuple(cases), ({"overshoot": value},), ((),), (), beyond)
+
+    def cases(repeat):
+        return [Case("noise", "a", np.zeros(3), 0.0, {}, repeat)]
+
+    monkeypatch.setattr(case_retuning, "check_cases", check_stub)
+    own = {"kp": kps[0], "ki": 10.0}
+    result = TuningResult(points[0], own, {}, {}, True, 0.0, 100, (), alternatives=tuple(points[1:]))
+    judged = case_retuning.judge_gains(task, problem, result, cases, Progress(True))
+    assert judged.result.gains["kp"] == kps[3] and judged.rounds == 0 and not judged.check.failing
+    assert judged.check.cases[0].digits == 2  # the third check
+
+
+def test_alternatives_cost_more_and_keep_the_limits(tmp_path):
+    task = task_of(tmp_path)
+    problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
+    limits = {"overshoot": 0.1}
+    result = tune(problem, {"tracking": 1.0}, limits)
+    terms, violations = map(
+        np.asarray,
+        evaluate_points(
+            problem, np.stack([result.point, *result.alternatives]), make_objective({"tracking": 1.0}, limits)
+        ),
+    )
+    assert 3 <= len(result.alternatives) <= 16 and np.max(violations) <= 1e-3
+    assert np.all(terms[1:, 0] > 1.029 * terms[:-1, 0])
+    assert not tune(problem, {"tracking": 1.0}, {}).alternatives
 
 
 def test_a_limit_that_cases_miss_ends_with_the_numbers_and_exit_code_3(tmp_path, monkeypatch):
