@@ -3,18 +3,19 @@
 A block of ``sh`` or ``python`` is executed by ``tests/integration/test_docs_commands.py``, in the order of its page, or
 when the site is built, if the page shows the outputs of its commands (``<!-- output of: ... -->``). A block that cannot
 run there has the line ``<!-- not executed: REASON -->`` above it, which the site shows. ``<!-- run first -->`` marks a
-block of Python that makes a file for the commands of a page.
+block of Python that makes a file for the commands of a page, and ``<!-- file: PATH -->`` one that is such a file.
 """
 
 import re
 from typing import NamedTuple
 
 BLOCK = re.compile(
-    r"^(?:<!-- (?:not executed: (?P<reason>[^>]+?)|(?P<first>run first)) -->\n)?"
+    r"^(?:<!-- (?:not executed: (?P<reason>[^>]+?)|(?P<first>run first)|file: (?P<file>[\w./-]+)) -->\n)?"
     r"```(?P<language>\w*)\n(?P<text>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
 OUTPUT = re.compile(r"^<!-- output of: (smajax .+) -->$", re.MULTILINE)
+FILE = re.compile(r"^<!-- file: ([\w./-]+) -->$", re.MULTILINE)
 REASON = re.compile(r"^<!-- not executed: ([^>]+?) -->$", re.MULTILINE)
 EXECUTED = ("sh", "python")
 
@@ -28,6 +29,7 @@ class Block(NamedTuple):
         line: Number of its first line on the page.
         reason: Why it is not executed; empty if it is.
         is_first: Whether it makes a file for the commands of the page.
+        file: Path of the file that it is for the commands of the page; empty for none.
     """
 
     language: str
@@ -35,6 +37,7 @@ class Block(NamedTuple):
     line: int
     reason: str
     is_first: bool
+    file: str
 
 
 def blocks(markdown: str) -> list[Block]:
@@ -46,6 +49,7 @@ def blocks(markdown: str) -> list[Block]:
             markdown.count("\n", 0, match.start("text")) + 1,
             match["reason"] or "",
             bool(match["first"]),
+            match["file"] or "",
         )
         for match in BLOCK.finditer(markdown)
     ]

@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from docs.generate import pages  # noqa: E402
-from docs.generate.blocks import OUTPUT, REASON, blocks  # noqa: E402
-from docs.generate.outputs import clean_up, output_of, run_first  # noqa: E402
+from docs.generate.blocks import FILE, OUTPUT, REASON, blocks  # noqa: E402
+from docs.generate.outputs import clean_up, output_of, run_first, write_file  # noqa: E402
 from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
@@ -57,6 +57,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     for block in blocks(markdown):
         if block.is_first:
             run_first(block.text, source)
+        elif block.file:
+            write_file(block.file, block.text, source)
+    markdown = FILE.sub(lambda match: f"`{match[1]}`:\n", markdown)
     markdown = REASON.sub(lambda match: f"*Not executed by the tests of this site: {match[1]}.*\n", markdown)
     return OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
 

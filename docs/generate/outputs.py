@@ -62,6 +62,17 @@ def run_first(code: str, page: str) -> None:
         raise CommandError(f"the code of {page} failed: {result.stderr.strip()}")
 
 
+def write_file(name: str, text: str, page: str) -> None:
+    """Write a file that a page shows into the folder of its commands.
+
+    Args:
+        name: Path of the file, relative to that folder.
+        text: Its content.
+        page: The page, which determines the folder.
+    """
+    (_folder(page) / name).write_text(text, "utf-8")
+
+
 def _run(words: list[str], page: str) -> subprocess.CompletedProcess[str]:
     """Run a command in the folder of a page, without a display, and in a terminal of a known width."""
     environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}

@@ -29,15 +29,18 @@ TEXTS = {
         *sorted((ROOT / "docs").rglob("*.md")),
     ]
 }
-# Languages of blocks that are no programs: files, which are read here, and a diagram.
-SHOWN = ("toml", "mermaid")
+# Languages of blocks that are files, which are read or compiled here, or a diagram.
+SHOWN = ("toml", "c", "mermaid")
 # Runs the blocks of a page; those of Python have one namespace.
 DRIVER = """
 import json, subprocess, sys
 namespace = {"__name__": "__main__"}
 for language, text, place in json.loads(sys.argv[1]):
     print(place, file=sys.stderr)
-    if language == "python":
+    if language == "file":
+        with open(place, "w", encoding="utf-8") as file:
+            file.write(text)
+    elif language == "python":
         exec(compile(text, place, "exec"), namespace)
     else:
         subprocess.run(["bash", "-euo", "pipefail", "-c", text], check=True)
@@ -98,7 +101,10 @@ def test_the_blocks_of_a_page_run(page, tmp_path):
         if not SHARED.is_dir():
             pytest.skip("the recordings of others are not next to this checkout (../shared)")
         environment["SMAJAX_DATA"] = str(SHARED / "data")
-    steps = [(block.language, block.text, f"{page}:{block.line}") for block in executed(page)]
+    if any(c.startswith("cc ") for b in executed(page) for c in commands(b.text)) and not shutil.which("cc"):
+        pytest.skip("there is no C compiler")
+    files = [("file", block.text, block.file) for block in blocks(TEXTS[page]) if block.file]
+    steps = files + [(block.language, block.text, f"{page}:{block.line}") for block in executed(page)]
     words = [sys.executable, "-c", DRIVER, json.dumps(steps)]
     done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -129,7 +135,9 @@ def test_the_toml_of_a_page_is_a_file_that_is_read(page, tmp_path):
             path.write_text(tomlkit.dumps(block), "utf-8")
             assert read_limits(path, "set") is not None and read_catalogue(path, "set") is not None
         elif "sweep" in block:
-            sweep = merged(sweep, block)
+            sweep = block if "schema" in block else merged(sweep, block)
+            (tmp_path / "bench").mkdir(exist_ok=True)
+            shutil.copy(folder / "rig.toml", tmp_path / "bench" / "example.toml")
             path = tmp_path / "sweep.toml"
             path.write_text(tomlkit.dumps({"schema": 1, **sweep}), "utf-8")
             read_sweep(path)
