@@ -41,7 +41,8 @@ class CommandProgress:
 
     In a phase that can stop, the first Ctrl-C does not raise an exception, since it could be lost during a compilation;
     the work stops after its step. Where the work has its result already, the first Ctrl-C is noted, and the result is
-    written. The second one ends the process. In other phases Ctrl-C raises ``KeyboardInterrupt``.
+    written. The second one ends the process. In other phases Ctrl-C raises ``KeyboardInterrupt``, again at the next
+    event if it was lost, as in a callback of the garbage collector.
 
     Attributes:
         interrupted: Whether Ctrl-C was pressed while the result was written, or too late to stop the work before.
@@ -55,7 +56,7 @@ class CommandProgress:
         """
         self._display = display
         self._previous: Any = None
-        self._handling = self._requested = self._has_result = False
+        self._handling = self._requested = self._has_result = self._can_stop = self._raised = False
         self.interrupted: bool = False
 
     def __enter__(self) -> "CommandProgress":
@@ -74,10 +75,17 @@ class CommandProgress:
             KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop, or before it when there was a result.
         """
         raise_on_interrupt()
+        if self._raised:
+            raise KeyboardInterrupt
         if event.step is None:
-            self._has_result = event.has_result
+            self._has_result, self._can_stop = event.has_result, event.can_stop
             self.interrupted |= self._requested and event.has_result
-            self._handle() if event.can_stop or event.has_result else self._restore()
+            if event.can_stop or event.has_result:
+                self._handle()
+            else:
+                self._restore()
+                if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+                    self._handle()
             self._display.phase(event.text)
         else:
             self._display.step(event.text)
@@ -94,7 +102,10 @@ class CommandProgress:
         self._handling = self._requested = False
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self.interrupted or (self._requested and not self._has_result):
+        if not (self._can_stop or self._has_result or self._raised):
+            self._raised = True
+            raise KeyboardInterrupt
+        if self._raised or self.interrupted or (self._requested and not self._has_result):
             self._display.close()
             _print_error("interrupted; nothing was written")
             os._exit(Cancelled.exit_code)

@@ -353,6 +353,24 @@ def test_ctrl_c_while_the_results_are_written_keeps_them(bench, monkeypatch, com
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_ctrl_c_that_a_callback_loses_is_raised_again_and_a_second_one_ends_the_process(monkeypatch, capsys):
+    codes = []
+    monkeypatch.setattr("smajax.app.console.os._exit", codes.append)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with CommandProgress(Progress(quiet=True)) as progress:
+            progress(ProgressEvent("reading"))
+            with pytest.raises(KeyboardInterrupt):  # as in a callback whose exceptions Python ignores
+                signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                progress(ProgressEvent("drawing designs"))
+            signal.raise_signal(signal.SIGINT)
+        assert codes == [130] and capsys.readouterr().err == "smajax: interrupted; nothing was written\n"
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_a_ctrl_c_when_there_is_a_result_stops_the_next_search(monkeypatch):
     """As that which follows the checks of a tuning."""
     events = [ProgressEvent("tuning", can_stop=True), ProgressEvent("checking", has_result=True)]

@@ -152,16 +152,16 @@ def _header(
     blind = f"#define SMAJAX_BLIND ((smajax_real){DROPOUT_TIMEOUT!r})"
     limits.append(f"{blind} /* s without a measurement after which the command is 0 */")
     if start is not None:
-        limits.append(c_templates.START.format(start=start, unit=units[1]))
+        limits.append(c_templates.START.format(start=start, unit=c_templates.comment_text(units[1])))
     texts = "\n".join([body, *defines])
     helpers = {name: text for name, text in c_templates.HELPERS.items() if f"{name}(" in texts}
     math = [c_templates.MATH.format(name=name.upper(), function=name) for name in sorted(program.math)]
     used = [text for name, text in zip(sorted(program.math), math, strict=True) if f"SMAJAX_{name.upper()}(" in body]
     return c_templates.HEADER.format(
-        kind=type(loop.controller).__name__,
+        kind=c_templates.comment_text(type(loop.controller).__name__),
         version=version,
-        command_unit=units[0],
-        channel_unit=units[1],
+        command_unit=c_templates.comment_text(units[0]),
+        channel_unit=c_templates.comment_text(units[1]),
         start="reference" if start is None else "SMAJAX_START",
         use=_instructions(loop),
         include="".join(["#include <math.h>\n"] * bool(used) + used),
@@ -226,8 +226,8 @@ def _step_functions(program: CProgram, numbers: Constants) -> list[str]:
 
 
 def _first_sentence(text: str) -> str:
-    """The first sentence of a docstring, without what would end a comment."""
-    return re.split(r"(?<=[.])\s|\n\n", text.strip().replace("*/", ""))[0].replace("\n", " ")
+    """The first sentence of a docstring, for a comment."""
+    return c_templates.comment_text(re.split(r"(?<=[.])\s|\n\n", text.strip())[0])
 
 
 def _member_names(state: _State) -> list[str]:

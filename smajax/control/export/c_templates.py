@@ -1,5 +1,19 @@
 """Texts of the C header around the functions that ``c_header`` writes; the C names are public and must not change."""
 
+import re
+
+from smajax.errors import printable
+
+
+def comment_text(text: str) -> str:
+    """Return a text for a comment of C: in one line, in which no comment ends or begins.
+
+    Args:
+        text: The text, such as a docstring or the name of a unit.
+    """
+    return re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)", " ", printable(" ".join(text.split())))
+
+
 HEADER = """/* {kind} controller tuned by smajax {version}.
  * Include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
  *

@@ -8,6 +8,7 @@ import importlib.metadata
 import io
 import json
 import math
+import re
 import zipfile
 from html import escape
 from pathlib import Path
@@ -30,7 +31,9 @@ _BASES = {
     "candela": "cd",
     "radian": "rad",
 }
-_PAGE = """<!DOCTYPE html><title>{name}</title><h1>{name}</h1>
+# Characters that XML 1.0 cannot have (section 2.2).
+_NOT_XML = re.compile("[^\\t\\n\\r\\x20-\\ud7ff\\ue000-\\ufffd\\U00010000-\\U0010ffff]")
+_PAGE = """<!DOCTYPE html><meta charset="utf-8"><title>{name}</title><h1>{name}</h1>
 <p>This unit is {meaning}, written by smajax {version}. It needs a Python with NumPy; on Linux, a tool that is not
 written in Python has to be started with LD_PRELOAD set to libpython3.X.so. Values are in SI units and degC.
 {timing}</p>
@@ -65,6 +68,7 @@ def pack_fmu(model: Model) -> bytes:
         raise InputError(
             "an FMU needs the package pythonfmu, which is not installed: pip install 'smajax[fmu]'"
         ) from None
+    model = model._replace(name=_xml_text(model.name), meaning=_xml_text(model.meaning))
     home = Path(pythonfmu.__file__).parent
     slave = Path(__file__).with_name("slave.py").read_bytes()
     variables = [
@@ -90,6 +94,11 @@ def pack_fmu(model: Model) -> bytes:
         if file.name == "LICENSE":
             files["documentation/licenses/pythonfmu.txt"] = file.read_binary()
     return _zipped(files)
+
+
+def _xml_text(text: str) -> str:
+    """Return a text without the characters that XML cannot have, not even as references."""
+    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def _page(model: Model) -> bytes:
@@ -192,5 +201,5 @@ def _describe_variable(parent: ElementTree.Element, value_reference: int, variab
 def _add(parent: ElementTree.Element, tag: str, /, **attributes: Any) -> ElementTree.Element:
     """Add and return a child with its attributes; numbers are written with all their digits."""
     return ElementTree.SubElement(
-        parent, tag, {k: str(v).lower() if isinstance(v, bool) else str(v) for k, v in attributes.items()}
+        parent, tag, {k: str(v).lower() if isinstance(v, bool) else _xml_text(str(v)) for k, v in attributes.items()}
     )
