@@ -43,6 +43,8 @@ class BagFile(MessageFile):
         topics: dict[str, None] = {}
         with self._open() as reader:
             for connection in reader.connections:
+                if not isinstance(connection.topic, str):  # a damaged row of the database
+                    raise ValueError("a topic has no name")
                 for _, _, data in itertools.islice(reader.messages([connection]), 1):
                     try:
                         reader.deserialize(data, connection.msgtype)

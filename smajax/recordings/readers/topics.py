@@ -109,8 +109,10 @@ class TopicTable(Table):
 
     def _read(self, indices: Sequence[int]) -> dict[str, _Topic]:
         """Return the topics of some columns, and that of the clock."""
-        clock = self._options.clock_topic or ("" if indices else self._file.topics[0])
-        topics: dict[str, _Topic] = {clock: _Topic()} if clock else {}
+        clock = self._options.clock_topic
+        if clock is None and not indices:
+            clock = self._file.topics[0]
+        topics: dict[str, _Topic] = {} if clock is None else {clock: _Topic()}
         for index in indices:
             topics.setdefault(self._places[index][0], _Topic()).columns[index] = array("d")
         for count, (name, time, message) in enumerate(self._file.messages(list(topics)), 1):
