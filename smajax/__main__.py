@@ -2,7 +2,7 @@
 
 import sys
 
-from smajax.app.loading import exit_on_interrupt
+from smajax.app.loading import end_on_interrupt, exit_on_interrupt
 from smajax.errors import Cancelled
 
 
@@ -15,8 +15,13 @@ def main() -> None:
     escape_what_cannot_be_encoded()
     try:
         app()
+        code: object = 0
     except KeyboardInterrupt:  # outside of a command, which has a sentence for it
-        sys.exit(Cancelled.exit_code)
+        code = Cancelled.exit_code
+    except SystemExit as end:
+        code = end.code
+    end_on_interrupt(code)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

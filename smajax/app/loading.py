@@ -18,6 +18,18 @@ def exit_on_interrupt() -> None:
         signal.signal(signal.SIGINT, _exit)
 
 
+def end_on_interrupt(code: object) -> None:
+    """Let Ctrl-C end a process whose command has ended, with the code of the command and without a traceback.
+
+    Args:
+        code: Code of ``SystemExit``; ``None`` is 0.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if in_main_thread and callable(signal.getsignal(signal.SIGINT)):  # a background process ignores it
+        number = code if isinstance(code, int) else int(code is not None)
+        signal.signal(signal.SIGINT, lambda *_: os._exit(number))
+
+
 def raise_on_interrupt() -> None:
     """Let Ctrl-C raise ``KeyboardInterrupt`` after ``exit_on_interrupt``."""
     if signal.getsignal(signal.SIGINT) is _exit:

@@ -103,6 +103,16 @@ def test_a_lack_of_memory_disk_or_processes_is_a_sentence(error, words, code, ca
     assert words in capsys.readouterr().err
 
 
+def test_a_ctrl_c_while_python_ends_keeps_the_code_of_the_command():
+    probe = (
+        "import atexit, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "atexit.register(signal.raise_signal, signal.SIGINT)\n"
+        "sys.argv[1:] = ['fly']; from smajax.__main__ import main; main()"
+    )
+    result = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, cwd=ROOT)
+    assert result.returncode == 2 and result.stderr.count("\n") == 1, result.stderr
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no device that is full")
 def test_a_full_disk_is_a_sentence():
     with open("/dev/full", "w") as full:
