@@ -498,6 +498,7 @@ def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
         raise InputError("enough")
 
     monkeypatch.setattr("smajax.api.fit.fit", stop_here)
+    monkeypatch.setattr("smajax.app.command_line.models.check_files", lambda **_: None)  # there are no such files
     assert (
         smajax(
             "fit",
@@ -533,6 +534,7 @@ def test_machines_start_and_are_checked_like_rigs(kind, tmp_path):
     assert kind in checked.stdout and all(name in checked.stdout for name in [*subject.declarations, *subject.units])
     assert "exists and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path), 2)
     # Files that only rigs have.
+    (tmp_path / "a.csv").write_text("time [s],current [A]\n0,0\n1,0\n")
     assert "the metrics of an actuator need no recording" in sentence(smajax("check", rig, tmp_path / "a.csv"), 2)
     refused = sentence(smajax("simulate", rig, tmp_path / "a.csv", "--out", tmp_path / "out"), 2)
     assert f'rig.kind = "{kind}" is an actuator' in refused and "smajax sweep" in refused

@@ -397,7 +397,7 @@ def test_excel_sheets(tmp_path):
 
 
 def test_a_missing_extra_is_named(written, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    monkeypatch.setitem(sys.modules, "openpyxl.reader.excel", None)
     with pytest.raises(InputError, match=r'need openpyxl: run pip install "smajax\[io\]"'):
         read_recording(written(b"not a workbook", "wire.xlsx"))
 
