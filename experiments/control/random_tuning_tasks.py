@@ -5,8 +5,8 @@
 Each task is a wire with its load, reference, noise and limits, drawn at random; ``smajax tune`` finds the gains. The
 exact simulator of tests/reference, which shares no code with smajax, runs its own PID controller with these gains 20
 times, with fresh noise and ambient temperatures within 3 K. A limit counts where the command printed it as kept.
-``--de`` also searches each task by differential evolution with 20 times the rollouts, on eight draws of the noise, and
-judges its gains in the same way; this takes several minutes a task. --quick takes two tasks.
+``--de`` also searches each task by differential evolution with 20 times the rollouts, for the same objective, limits
+and members, and judges its gains in the same way; this takes a minute or two for a task. --quick takes two tasks.
 """
 
 import sys
@@ -27,8 +27,8 @@ from smajax.api.tune import TuningStudy, tune
 from smajax.control.controller_file.read import ControllerFile
 from smajax.control.loop.gains import gain, gains
 from smajax.control.tuning.objective import make_objective
-from smajax.control.tuning.problem import TuningProblem, noise_draws
 from smajax.control.tuning.search import BATCH, GainSearch
+from smajax.control.tuning.tuning_study import tuning_problem
 
 TASKS = 50
 # Share of all runs, and number of the runs of each task, that keep the limits which were printed as kept.
@@ -100,8 +100,7 @@ def evolution(task: TuningTask, study: TuningStudy, tuned: list[ExactRun]) -> di
     """Return how gains of differential evolution with twenty times the rollouts do on the exact simulator."""
     assert study.result is not None
     settings: ControllerFile = study.result.settings
-    noise = noise_draws(settings.loop, settings.scenario)
-    problem = TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, draws=noise)
+    problem = tuning_problem(settings, {}, settings.seed)
     search = GainSearch(problem, make_objective(settings.weights, settings.limits), lambda count, cost: None)
 
     def cost(points: np.ndarray) -> np.ndarray:

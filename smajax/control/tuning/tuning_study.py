@@ -182,7 +182,7 @@ def tune_controller(
         settings, reachable, unreachable = _within_reach(settings)
         start = evaluate_gains(settings, _start_gains(settings))
     with timer.part("tune", "tuning", can_stop=True):
-        problem = _problem(settings, draws, seed)
+        problem = tuning_problem(settings, draws, seed)
         result, tuned, weights = search_gains(settings, problem, reachable, seed, progress)
         settings = replace(settings, weights=weights)
         if settings.prefers_margins:
@@ -352,8 +352,14 @@ def _start_gains(settings: ControllerFile) -> dict[str, float]:
     return {name: float(gain(settings.loop, name)) for name in settings.bounds}
 
 
-def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: int) -> TuningProblem:
-    """The tuning problem: the first draws, or draws of the noise, one of them none, and of the ambient temperature."""
+def tuning_problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: int) -> TuningProblem:
+    """Return the tuning problem: the first draws, or draws of the noise, some of them none, and ambient temperatures.
+
+    Args:
+        settings: The content of a controller file.
+        draws: Drawn parameters by name, internal units, shape ``(count,)`` each; empty without [robust].
+        seed: Seed of the noise.
+    """
     robust = settings.robust
     members = {n: v[: robust.draws] for n, v in draws.items()} if robust else {}
     count = LIMITED_NOISE_DRAWS if settings.check > 1 and settings.limits else NOISE_DRAWS
