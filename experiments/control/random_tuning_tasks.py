@@ -26,9 +26,9 @@ import scipy.optimize
 from smajax.api.tune import TuningStudy, tune
 from smajax.control.controller_file.read import ControllerFile
 from smajax.control.loop.gains import gain, gains
+from smajax.control.tuning.controller_problem import tuning_problem
 from smajax.control.tuning.objective import make_objective
 from smajax.control.tuning.search import BATCH, GainSearch
-from smajax.control.tuning.tuning_study import tuning_problem
 
 TASKS = 50
 # Share of all runs, and number of the runs of each task, that keep the limits which were printed as kept.
