@@ -134,7 +134,7 @@ def test_equinox_is_imported_after_its_checks_are_disabled(words, tmp_path):
         (("properties", "none.csv"), "none.csv: there is no such file"),
     ],
 )
-def test_a_wrong_path_or_toml_text_is_told_before_jax_is_loaded(words, said, tmp_path):
+def test_a_wrong_path_or_invalid_toml_is_reported_before_jax_is_loaded(words, said, tmp_path):
     (tmp_path / "broken.toml").write_text("schema = 1\n[rig\n")
     probe = (
         "import sys, smajax.__main__\n"

@@ -111,7 +111,7 @@ def test_the_blocks_of_a_page_run(page, tmp_path):
 
 
 def merged(sections: dict, block: dict) -> dict:
-    """Return a file with the sections of a block in place of its own; effects are added."""
+    """Return a file whose sections are replaced by those of a block; effects are added."""
     effects = {**sections.get("effects", {}), **block.get("effects", {})}
     return {**sections, **block, **({"effects": effects} if effects else {})}
 

@@ -1,11 +1,11 @@
-"""Checks of a command's files before JAX is loaded, so that a mistake in a path or in a TOML text is told at once."""
+"""Checks of a command's files before JAX is loaded, so that a wrong path or invalid TOML is reported at once."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from smajax.app.loading import exit_on_interrupt
 
-# Suffix of a sweep that is no TOML text but the table of an earlier one.
+# Suffix of the table of an earlier sweep, which may be given in place of a TOML file.
 _TABLE = ".parquet"
 
 

@@ -19,7 +19,7 @@ from smajax.control.analysis.closed_loop_checks import (
     rollout_metrics,
     violated_limits,
 )
-from smajax.control.analysis.members import members_at_rest, rollout_cases
+from smajax.control.analysis.members import members_at_rest, rollout_members
 from smajax.control.analysis.step_response import StepResponse
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.rollout import Rollout
@@ -151,7 +151,7 @@ def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequen
     return _simulate(task.system, task.loop, task.scenario, plants, noise, values, first)
 
 
-_simulate = jit_with_kernels(rollout_cases)
+_simulate = jit_with_kernels(rollout_members)
 _at_rest = jit_with_kernels(members_at_rest)
 
 

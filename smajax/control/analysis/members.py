@@ -22,6 +22,7 @@ def rollout_members(
     members: dict[str, Float[Array, " members"]],
     noise: Float[Array, "members samples"],
     gains: dict[str, Float[Array, " members"]],
+    first: Any = None,
 ) -> Rollout:
     """Simulate a loop around all members; the caller compiles it.
 
@@ -32,15 +33,24 @@ def rollout_members(
         members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
         noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
         gains: Gains by name, internal units, shape ``(m,)`` each.
+        first: States of plant and loop before the first sample, with a leading axis of ``m``: those of
+            ``members_at_rest``, or the final states of other rollouts. By default the members begin at rest; only then
+            are the rollouts of an implicit plant differentiable.
 
     Returns:
         Rollouts whose leaves have a leading axis of ``m``.
     """
 
-    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
-        own = dataclasses.replace(scenario, draws=draws)
-        return simulate_loop(_changed(system, values), with_gains(loop, gains), own)
+    def simulate(
+        values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array], first: Any = None
+    ) -> Rollout:
+        changed, own = _changed(system, values), dataclasses.replace(scenario, draws=draws)
+        if first is None:
+            return simulate_loop(changed, with_gains(loop, gains), own)
+        return rollout_with_solutions(changed, with_gains(loop, gains), own, first)[0]
 
+    if first is not None:
+        return jax.vmap(simulate)(members, noise, gains, first)
     # A single rollout is faster than a batch of one.
     if not members and noise.shape[0] == 1:
         single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()})
@@ -48,47 +58,15 @@ def rollout_members(
     return jax.vmap(simulate)(members, noise, gains)
 
 
-def rollout_cases(
-    system: AbstractSampledSystem,
-    loop: ClosedLoop,
-    scenario: Scenario,
-    members: dict[str, Float[Array, " cases"]],
-    noise: Float[Array, "cases samples"],
-    gains: dict[str, Float[Array, " cases"]],
-    first: Any,
-) -> Rollout:
-    """Simulate a loop around all members from given states; the caller compiles it.
-
-    Args:
-        system: The sampled plant.
-        loop: The closed loop.
-        scenario: The scenario; its noise is replaced by that of each member.
-        members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
-        noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
-        gains: Gains by name, internal units, shape ``(m,)`` each.
-        first: States of plant and loop before the first sample, with a leading axis of ``m``: those of
-            ``members_at_rest``, or the final states of other rollouts.
-
-    Returns:
-        Rollouts whose leaves have a leading axis of ``m``.
-    """
-
-    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array], first: Any) -> Rollout:
-        own = dataclasses.replace(scenario, draws=draws)
-        return rollout_with_solutions(_changed(system, values), with_gains(loop, gains), own, first)[0]
-
-    return jax.vmap(simulate)(members, noise, gains, first)
-
-
 def members_at_rest(
     system: AbstractSampledSystem,
     loop: ClosedLoop,
     scenario: Scenario,
-    members: dict[str, Float[Array, " cases"]],
-    gains: dict[str, Float[Array, " cases"]],
-    initial: Float[Array, " cases"],
+    members: dict[str, Float[Array, " members"]],
+    gains: dict[str, Float[Array, " members"]],
+    initial: Float[Array, " members"],
 ) -> Any:
-    """Return the states of all members at rest, for ``rollout_cases``; the caller compiles it.
+    """Return the states of all members at rest, for ``rollout_members``; the caller compiles it.
 
     Args:
         system: The sampled plant.

@@ -42,7 +42,7 @@ class JudgedGains(NamedTuple):
 
 
 class _Judge:
-    """Checks gains on cases, each time on new ones unless they are chosen among others."""
+    """Checks of gains on cases; alternatives are first compared on the cases of the gains that they replace."""
 
     def __init__(self, task: TuningTask, problem: TuningProblem, cases: Callable[[int], Sequence[Case]]) -> None:
         self._task, self._problem, self._cases, self._count = task, problem, cases, 0
