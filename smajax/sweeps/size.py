@@ -14,7 +14,8 @@ from smajax.sweeps.space import Axis, draw_designs
 _COPIES = 5
 # Share of the free memory that the table may take, as of a fit.
 _FREE_SHARE = 0.8
-# Seconds of one step of one design on one core: 0.5 ms a design of 628 steps on two cores (docs/benchmarks/designs.md).
+# Seconds of one step of one design on one core, rounded up from the throughput that
+# experiments/speed/sweep_throughput.py prints.
 _SECONDS_PER_STEP = 2e-6
 _SECONDS_PER_HOUR = 3600.0
 # Designs from which the number of steps is estimated.
