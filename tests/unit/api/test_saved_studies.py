@@ -101,6 +101,9 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
         "diagnose": ["rig.toml", "a.csv", "--select", "b.csv", "--holdout", "c.csv", "--start", "fit.toml", "--laws"],
         "tune": ["rig.toml", "controller.toml"],
     }[command]
+    monkeypatch.chdir(tmp_path)
+    for name in ("rig.toml", "fit.toml", "controller.toml", "a.csv", "b.csv", "c.csv"):
+        (tmp_path / name).write_text("schema = 1\n", encoding="utf-8")
     out = tmp_path / "command"
     result = CliRunner().invoke(app, [command, *words, "--seed", "3", "--out", str(out), "--json"])
     assert result.exit_code == study.exit_code, result.output
