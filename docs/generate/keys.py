@@ -19,7 +19,7 @@ from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.files import channel_settings, rig_schema, rig_structure
 from smajax.files.rig_kinds import choose_stages
 from smajax.files.validators import OneOf
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.drive import DRIVES
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.registry import MECHANISMS

@@ -30,7 +30,7 @@ from smajax.files.rig_checks import check_coil, check_order, check_whole
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, render_toml, validate, write_text
 from smajax.files.validators import one_of, section_model
 from smajax.parameters import as_float, declarations
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.coil import Coil
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of

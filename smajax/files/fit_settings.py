@@ -12,7 +12,7 @@ from smajax.files.rig_kinds import rig_phrase
 from smajax.files.rig_schema import FitSection
 from smajax.files.toml import flatten_keys, show
 from smajax.parameters import TIES
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial

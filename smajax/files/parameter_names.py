@@ -7,7 +7,7 @@ import equinox as eqx
 from smajax.channels import channel_of
 from smajax.files.rig_kinds import HEATS
 from smajax.parameters import TIES, declarations
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.cells import Cells
 from smajax.plant.coil import Coil
 from smajax.plant.drive import DRIVES

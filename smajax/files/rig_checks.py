@@ -12,7 +12,7 @@ from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE, FitSection, RigSecti
 from smajax.files.rig_structure import STRUCTURE_KEYS
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import checks, declarations
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.coil import Coil
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.wire import AbstractWire, Wire

@@ -39,7 +39,7 @@ from smajax.files.rig_values import (
 )
 from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
 from smajax.parameters import TIES, by_leaf
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor

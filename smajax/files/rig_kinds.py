@@ -13,7 +13,7 @@ from smajax.errors import InputError
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.files.rig_structure import UNIFORM, Structure
 from smajax.parameters import TIES, declarations
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.cells import Cells
 from smajax.plant.coil import Coil
 from smajax.plant.convection import PolynomialConvection, PowerLawConvection

@@ -11,7 +11,7 @@ from smajax.files.rig_kinds import Stages
 from smajax.files.toml import show, validate
 from smajax.files.validators import section_model
 from smajax.parameters import TIES, by_leaf
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 
 
 class ParameterSet(NamedTuple):

@@ -7,7 +7,8 @@ from pydantic import BaseModel, BeforeValidator, create_model
 
 from smajax.errors import InputError, suggestion
 from smajax.files.toml import STRICT, show
-from smajax.parameters.checks import Declaration, bounds_error
+from smajax.parameters.checks import bounds_error
+from smajax.parameters.definitions import Declaration
 from smajax.units import parse_quantity
 
 

@@ -23,7 +23,7 @@ from smajax.fitting.compilation import vmap_unless_single
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.unknowns import MIN_RELATIVE_BAND, Settings, Unknown, bounds_of, make_unknown
 from smajax.numerics.nonsmooth import maximum, minimum
-from smajax.parameters.checks import ORDERED_PAIRS
+from smajax.parameters.definitions import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters
-from smajax.parameters.checks import ORDERED_PAIRS
+from smajax.parameters.definitions import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import recorded_surroundings

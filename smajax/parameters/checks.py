@@ -1,50 +1,19 @@
-"""Declaration of a parameter, and the checks of its value: its bounds, and the order of two that belong together."""
+"""Checks of a declaration and of a value: its bounds, and the order of two that belong together."""
 
-import dataclasses
 import math
 import re
+import sys
 from collections.abc import Callable, Collection
 from typing import Any
 
-import jax
 import numpy as np
-from jax.core import Tracer
 
 from smajax.errors import InputError
+from smajax.parameters.definitions import ORDERED_PAIRS, Declaration
 from smajax.units import as_text
 
-# The first of each pair has to be below the second: otherwise a transformation has no width, or the wire of a coil does
-# not fit inside it.
-ORDERED_PAIRS: tuple[tuple[str, str], ...] = (
-    ("material.austenite_start", "material.austenite_finish"),
-    ("material.martensite_finish", "material.martensite_start"),
-    ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
-    ("wire.diameter", "wire.coil_diameter"),
-)
 # Share of a bound by which a value may be beyond it: an estimate at its bound is so up to the rounding of its scale.
 _BOUND_ROUNDING = 1e-9
-
-
-@dataclasses.dataclass(frozen=True)
-class Declaration:
-    """Properties of a parameter that do not depend on data.
-
-    Attributes:
-        unit: Internal unit, such as ``"Pa"``.
-        meaning: Meaning in a few words, for messages and reports.
-        lower: Lower bound of the values for which the equations hold.
-        upper: Upper bound of the values for which the equations hold.
-        default: Default value; ``None`` for a required parameter, NaN for one that the plant derives from others.
-        whole: Whether the parameter is a count. The equations take any number; files give whole numbers and sweeps
-            sample whole numbers, while a fitted value may be any number.
-    """
-
-    unit: str
-    meaning: str
-    lower: float
-    upper: float
-    default: float | None
-    whole: bool = False
 
 
 def check_declaration(unit: Any, meaning: Any, lower: Any, upper: Any, default: Any) -> None:
@@ -124,7 +93,10 @@ def is_concrete(value: Any) -> bool:
     Args:
         value: The value.
     """
-    return isinstance(value, jax.Array | np.ndarray | np.number | int | float) and not isinstance(value, Tracer)
+    if isinstance(value, np.ndarray | np.number | int | float):
+        return True
+    jax = sys.modules.get("jax")  # without it there are no arrays of JAX, and files are checked before it is loaded
+    return jax is not None and isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
 
 
 def check_order(

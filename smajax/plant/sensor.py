@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from smajax.channels import CHANNELS, channel_of
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 
 # s. Samples that are closer together count as simultaneous, such as repeated samples that fill up a batch; no recording
 # is sampled as fast.

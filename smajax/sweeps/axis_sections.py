@@ -14,7 +14,7 @@ from smajax.files.parameter_sets import find_set
 from smajax.files.renamed_keys import current_name
 from smajax.files.toml import STRICT, advice, quantity_at, show, validate
 from smajax.files.validators import one_of, quantity
-from smajax.parameters.checks import ORDERED_PAIRS, Declaration
+from smajax.parameters.definitions import ORDERED_PAIRS, Declaration
 from smajax.sweeps.excitation import SHAPES
 from smajax.sweeps.problem import INPUT
 from smajax.sweeps.space import DEFAULT_POINTS, Axis

@@ -15,7 +15,7 @@ from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.files.toml import quantity_at, read_text, show
-from smajax.parameters.checks import Declaration
+from smajax.parameters.definitions import Declaration
 from smajax.plant.mechanisms.rotary import MasslessRotary
 from smajax.recordings.recording import Recording
 from smajax.sweeps.actuator_problem import ActuatorSweepProblem

@@ -13,7 +13,8 @@ from smajax.control.controllers.base import AbstractController
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.errors import InputError, suggestion
 from smajax.parameters import declarations
-from smajax.parameters.checks import Declaration, check_value
+from smajax.parameters.checks import check_value
+from smajax.parameters.definitions import Declaration
 
 # Limits of the actuator, which are given by the rig and are not tuned.
 _NOT_TUNED = ("lower", "upper")
