@@ -1,13 +1,16 @@
 """Recorded channels: their names, internal units and plausible values."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from smajax.errors import InputError, suggestion
+
+# Channels that every wire has, apart from its strain; ``Plant.observe`` gives each of them.
+_WIRE_CHANNELS = ("temperature", "stress", "force", "resistance", "current", "voltage", "power")
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,18 @@ def numbered(name: str, wires: int) -> tuple[str, ...]:
         wires: Number of wires.
     """
     return (name,) if wires == 1 else tuple(f"{name}_{i + 1}" for i in range(wires))
+
+
+def observable_channels(wires: int, coordinate: str, extra: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return the names of the channels that a plant computes.
+
+    Args:
+        wires: Number of wires.
+        coordinate: Channel of the motion.
+        extra: Further channels of the mechanism.
+    """
+    names = tuple(n for c in _WIRE_CHANNELS for n in numbered(c, wires))
+    return tuple(dict.fromkeys((coordinate, *numbered("strain", wires), *names, *extra)))
 
 
 def channel_unit(name: str, *, difference: bool = False) -> str:

@@ -6,13 +6,14 @@ name, as it does those of a plant.
 """
 
 import abc
+import dataclasses
 from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from smajax.parameters import CheckedModule
+from smajax.parameters import CheckedModule, module_types
 
 
 class AbstractActuator(CheckedModule):
@@ -26,6 +27,11 @@ class AbstractActuator(CheckedModule):
     units: eqx.AbstractClassVar[Mapping[str, str]]
     # Chosen by trial: larger batches are no faster on a CPU.
     batch_size: ClassVar[int] = 8
+
+    @classmethod
+    def rig_sections(cls) -> dict[str, type[eqx.Module]]:
+        """Return the classes of the sections of an actuator file, by section: the fields that are modules."""
+        return {field.name: part for field in dataclasses.fields(cls) for part in module_types(cls, field)}
 
     @abc.abstractmethod
     def metrics(self) -> dict[str, Float[Array, ""]]:

@@ -180,7 +180,7 @@ def _options(rig: Rig, seed: Any, starts: Any, max_steps: Any, input_noise: Any)
     whole_number("fit", "max_steps", max_steps, 1, sys.maxsize)
     options: dict[str, int | float | None] = {"seed": seed_or_default("fit", seed, rig.fit.seed)}
     if input_noise is not None:
-        options["input_noise"] = read_input_noise(input_noise, rig.plant, "fit: input_noise")
+        options["input_noise"] = read_input_noise(input_noise, rig.plant.drive.control, "fit: input_noise")
     return options if starts is None else options | {"starts": whole_number("fit", "starts", starts, 1, MAX_STARTS)}
 
 

@@ -9,44 +9,35 @@ kind = "flexural"
 diameter = "0.3 mm"
 """
 
-import dataclasses
 import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import equinox as eqx
 from pydantic import BaseModel, Field
 
 from smajax import parameters
-from smajax.actuators.base import AbstractActuator
-from smajax.actuators.flexural import FlexuralActuator
-from smajax.actuators.knee import Knee
-from smajax.actuators.soft_bending import SoftBending
 from smajax.errors import InputError
 from smajax.files.renamed_keys import current_line_numbers, with_current_keys
 from smajax.files.rig_checks import check_coil, check_order, check_whole
+from smajax.files.rig_classes import rig_classes
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, render_toml, validate, write_text
 from smajax.files.validators import one_of, section_model
-from smajax.parameters import as_float, declarations
+from smajax.parameters import declarations
 from smajax.parameters.definitions import Declaration
-from smajax.plant.coil import Coil
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
 
-ACTUATORS: Mapping[str, type[AbstractActuator]] = {
-    "flexural": FlexuralActuator,
-    "soft-bending": SoftBending,
-    "knee": Knee,
-}
+if TYPE_CHECKING:
+    from smajax.actuators.base import AbstractActuator
 
 
 class _Head(BaseModel):
     """``[rig]``."""
 
     model_config = STRICT
-    kind: Annotated[str, one_of(ACTUATORS)] = Field(examples=['"flexural"'])
+    kind: Annotated[str, one_of(lambda: rig_classes().actuators)] = Field(examples=['"flexural"'])
 
 
 def is_actuator(text: str) -> bool:
@@ -55,15 +46,15 @@ def is_actuator(text: str) -> bool:
         head = tomllib.loads(text).get("rig")
     except tomllib.TOMLDecodeError:
         return False
-    return isinstance(head, dict) and head.get("kind") in ACTUATORS
+    return isinstance(head, dict) and head.get("kind") in rig_classes().actuators
 
 
-def kind_of(actuator: AbstractActuator) -> str:
+def kind_of(actuator: "AbstractActuator") -> str:
     """Return the value of ``kind`` under ``[rig]`` for an actuator."""
-    return next(kind for kind, actuator_class in ACTUATORS.items() if actuator_class is type(actuator))
+    return next(kind for kind, actuator_class in rig_classes().actuators.items() if actuator_class is type(actuator))
 
 
-def read_actuator(path: str | Path) -> AbstractActuator:
+def read_actuator(path: str | Path) -> "AbstractActuator":
     """Read and check an actuator file.
 
     Raises:
@@ -72,7 +63,7 @@ def read_actuator(path: str | Path) -> AbstractActuator:
     return parse_actuator(read_text(Path(path), "actuator"), str(path))
 
 
-def parse_actuator(text: str, name: str = "actuator.toml") -> AbstractActuator:
+def parse_actuator(text: str, name: str = "actuator.toml") -> "AbstractActuator":
     """Parse and check the text of an actuator file.
 
     Args:
@@ -89,7 +80,7 @@ def parse_actuator(text: str, name: str = "actuator.toml") -> AbstractActuator:
         raise InputError(f"{name}: {error}") from None
 
 
-def to_toml(actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> str:
+def to_toml(actuator: "AbstractActuator", values: Mapping[str, Any] | None = None) -> str:
     """Return the text of a file with every parameter; reading it gives the same actuator.
 
     Args:
@@ -111,7 +102,7 @@ def to_toml(actuator: AbstractActuator, values: Mapping[str, Any] | None = None)
     return text
 
 
-def write(path: str | Path, actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> None:
+def write(path: str | Path, actuator: "AbstractActuator", values: Mapping[str, Any] | None = None) -> None:
     """Write the text of ``to_toml`` to a file, completely or not at all.
 
     Args:
@@ -125,14 +116,56 @@ def write(path: str | Path, actuator: AbstractActuator, values: Mapping[str, Any
     write_text(Path(path), to_toml(actuator, values))
 
 
-def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> AbstractActuator:
+class _Values(NamedTuple):
+    """Values in an actuator file, checked by their declarations.
+
+    Attributes:
+        actuator: Class of the actuator.
+        parts: Classes of its parts by section.
+        values: Values by section and key.
+        place: Place of each parameter in the file, for messages.
+    """
+
+    actuator: type[Any]
+    parts: Mapping[str, type[Any]]
+    values: Mapping[str, Mapping[str, Any]]
+    place: Mapping[str, str]
+
+
+def check_actuator_values(text: str, name: str) -> None:
+    """Check the text of an actuator file as far as its classes are not needed.
+
+    Args:
+        text: The text.
+        name: Name of the file in messages.
+
+    Raises:
+        InputError: As ``parse_actuator``.
+    """
+    data = parse_toml(text, name)
+    try:
+        _read_values(with_current_keys(data), Path(name).name, current_line_numbers(text))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> "AbstractActuator":
+    read = _read_values(data, name, rows)
+    parts = {
+        s: part(**{k: parameters.as_float(v) for k, v in read.values[s].items()}) for s, part in read.parts.items()
+    }
+    actuator = read.actuator(**parts)
+    _check(actuator, read.place)
+    return actuator
+
+
+def _read_values(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> _Values:
     check_schema(data)
     if "rig" not in data:
         raise InputError('the section [rig] is missing: add [rig] with a line kind = "flexural"')
     kind = validate(_Head, data["rig"], "rig").kind
-    actuator_class = ACTUATORS[kind]
-    field_types = [(f.name, f.type) for f in dataclasses.fields(actuator_class)]
-    part_classes = {n: part for n, part in field_types if isinstance(part, type) and issubclass(part, eqx.Module)}
+    actuator_class = rig_classes().actuators[kind]
+    part_classes = actuator_class.rig_sections()
     for section, content in data.items():
         if section not in part_classes and section not in ("schema", "rig"):
             is_section = isinstance(content, dict | list)
@@ -144,13 +177,10 @@ def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> Abstr
     values = {s: _part_values(kind, s, table, data.get(s, {})) for s, table in tables.items()}
     # Parts check the order as well, without the place of a value.
     check_order({f"{s}.{k}": v for s, keys in values.items() for k, v in keys.items()}.get, units.__getitem__, place)
-    parts: dict[str, Any] = {s: part(**values[s]) for s, part in part_classes.items()}
-    actuator = actuator_class(**parts)
-    _check(actuator, place)
-    return actuator
+    return _Values(actuator_class, part_classes, values, place)
 
 
-def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
+def _check(actuator: "AbstractActuator", place: Mapping[str, str]) -> None:
     """Check what holds for every rig (counts, coils), then what this actuator requires.
 
     ``place`` is the place of each parameter in the file, for messages.
@@ -160,6 +190,8 @@ def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
     def value(name: str) -> float | None:
         number = float(parameters.get(actuator, name)) if name in table else math.nan
         return None if math.isnan(number) else number
+
+    from smajax.plant.coil import Coil  # a file is checked first without JAX
 
     check_whole(table, value, place)
     for part in parameters.sections(actuator).values():
@@ -177,4 +209,4 @@ def _part_values(kind: str, section: str, table: Mapping[str, Declaration], cont
             example = template.get(section, {}).get(key, example_of(declaration.unit))
             cure = f'an actuator of kind {kind} needs a line like {key} = "{example}" under [{section}]'
             raise InputError(f"{section}.{key} is missing: {cure}")
-    return {key: as_float(value) for key, value in values.items()}
+    return values

@@ -1,21 +1,19 @@
 """The section ``[fit]`` of a rig file: free parameters with their bounds, and fitted channels with their noise."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 from smajax import parameters
 from smajax.channels import NOISE_EXAMPLES, channel_of, channel_unit
 from smajax.errors import InputError, suggestion
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import rig_phrase
 from smajax.files.rig_schema import FitSection
 from smajax.files.toml import flatten_keys, show
 from smajax.parameters import TIES
 from smajax.parameters.definitions import Declaration
-from smajax.plant.mechanisms.registry import MECHANISMS
-from smajax.plant.plant import Plant
-from smajax.plant.wire import Initial
 from smajax.units import as_text, parse_quantity
 
 # Default number of starting points of a fit. Chosen by trial.
@@ -64,6 +62,36 @@ class FitSettings:
         return tuple(dict.fromkeys([*self.free, *self.per_recording, *(f"initial.{state}" for state in self.initial)]))
 
 
+class PlantChannels(Protocol):
+    """Channels of a plant, or of the stages of one."""
+
+    @property
+    def observable(self) -> tuple[str, ...]:
+        """Channels that it computes."""
+        ...
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Recorded channels that drive it."""
+        ...
+
+
+class FittedPlant(NamedTuple):
+    """What the settings of a fit need of a plant.
+
+    Attributes:
+        table: Declarations of its parameters by name, without those that its kind of rig does not use.
+        observable: Channels that it computes.
+        control: Electrical input; empty if it has none.
+        nominal: Returns the nominal value of a parameter; NaN if the plant derives it.
+    """
+
+    table: Mapping[str, Declaration]
+    observable: Sequence[str]
+    control: str
+    nominal: Callable[[str], float]
+
+
 def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
     """Return the channels that are fitted: those in the file, else the default of this kind of rig.
 
@@ -75,7 +103,7 @@ def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
         InputError: If the list in the file is empty or has a channel twice.
     """
     if fit.observe is None:
-        mechanism = MECHANISMS[kind]
+        mechanism = rig_classes().mechanisms[kind]
         return ("stress" if mechanism.coordinate in mechanism.prescribed else mechanism.coordinate,)
     if not fit.observe:
         cure = 'name at least one channel, as in observe = ["displacement"], or leave the line out'
@@ -90,12 +118,12 @@ def channels_of_sensors(names: Iterable[str]) -> list[str]:
     return [key.rpartition("_")[0] for key in keys if channel_of(key.rpartition("_")[0])]
 
 
-def check_observed(observe: Sequence[str], plant: Plant, kind: str) -> None:
+def check_observed(observe: Sequence[str], plant: PlantChannels, kind: str) -> None:
     """Check that the fitted channels are outputs of the plant.
 
     Args:
         observe: Channels that are fitted.
-        plant: The plant.
+        plant: The plant, or its stages.
         kind: Kind of the rig, for messages.
 
     Raises:
@@ -114,8 +142,7 @@ def check_observed(observe: Sequence[str], plant: Plant, kind: str) -> None:
 def fit_settings(
     fit: FitSection,
     observe: tuple[str, ...],
-    plant: Plant,
-    inert: frozenset[str],
+    plant: FittedPlant,
     set_bounds: Mapping[str, tuple[float, float]],
 ) -> FitSettings:
     """Return the settings, checked against the plant.
@@ -123,15 +150,14 @@ def fit_settings(
     Args:
         fit: The section of the file.
         observe: Channels that are fitted.
-        plant: The plant with its nominal values.
-        inert: Parameters of the plant that this kind of rig does not use.
+        plant: The parameters and channels of the plant.
         set_bounds: Bounds ``(low, high)`` of the parameter set by name, used where the rig file has none.
 
     Raises:
         InputError: If a name, a bound or a noise is not valid for this plant.
     """
-    table = {name: d for name, d in parameters.all_declarations(plant).items() if name not in inert}
-    states = [f.name for f in fields(Initial) if f"initial.{f.name}" in table]
+    table = plant.table
+    states = [name.removeprefix("initial.") for name in table if name.startswith("initial.")]
     # An initial state may be in `free` or in `initial`, with or without its section; it is moved to `initial`.
     initial_in_free = [name.removeprefix("initial.") for name in fit.free if name.startswith("initial.")]
     initial = [name.removeprefix("initial.") for name in fit.initial] + initial_in_free
@@ -144,12 +170,12 @@ def fit_settings(
             raise InputError(f"{problem}{suggestion(state, states)}: it can be {', '.join(states)}")
     refuse_duplicates(initial, "fit.initial")
     _refuse_overlap([*dict.fromkeys([*free, *fit.per_recording])])
-    bounds = _read_bounds(fit.bounds, table, plant)
+    bounds = _read_bounds(fit.bounds, plant)
     names = {*free, *fit.per_recording, *(f"initial.{state}" for state in initial)}
     bounds = {name: span for name, span in set_bounds.items() if name in names} | bounds
     noise = _read_noise(fit.noise, observe, plant)
     starts = fit.starts or (_STARTS if len(names) <= _MAX_PARAMETERS_OF_DEFAULT_STARTS else len(names))
-    input_noise = read_input_noise(fit.input_noise, plant, "fit.input_noise")
+    input_noise = read_input_noise(fit.input_noise, plant.control, "fit.input_noise")
     return FitSettings(
         fit.model,
         tuple(free),
@@ -164,12 +190,12 @@ def fit_settings(
     )
 
 
-def read_input_noise(text: Any, plant: Plant, place: str) -> float | None:
+def read_input_noise(text: Any, control: str, place: str) -> float | None:
     """Read the noise of the electrical inputs' meter.
 
     Args:
         text: Its standard deviation as a quantity, ``none`` for exact inputs, or ``estimated``.
-        plant: The plant, which determines the unit.
+        control: Electrical input of the rig, which determines the unit; empty if it has none.
         place: Section and key, or argument, for messages.
 
     Returns:
@@ -182,7 +208,6 @@ def read_input_noise(text: Any, plant: Plant, place: str) -> float | None:
         return None
     if text == INPUT_NOISE_NONE:
         return 0.0
-    control = plant.drive.control
     if not control:
         raise InputError(f"{place} = {show(text)}, and this rig has no electrical input: leave it out")
     cure = f'give a standard deviation such as "{NOISE_EXAMPLES[control]}", "none" or "estimated"'
@@ -229,15 +254,13 @@ def _refuse_overlap(names: Sequence[str]) -> None:
                 raise InputError(f"fit.free has {tie} and {member}, which it contains: keep only one of them")
 
 
-def _read_bounds(
-    bounds: Mapping[str, Any], table: Mapping[str, Declaration], plant: Plant
-) -> dict[str, tuple[float, float]]:
-    spans = {}
+def _read_bounds(bounds: Mapping[str, Any], plant: FittedPlant) -> dict[str, tuple[float, float]]:
+    spans, table = {}, plant.table
     for name, ends in flatten_keys(bounds).items():
         _check_names([name], table, "fit.bounds")
         low, high = _read_span(name, ends, table[name])
         for member in parameters.expand([name]):
-            nominal = float(parameters.get(plant, member))
+            nominal = plant.nominal(member)
             if not math.isnan(nominal) and not low <= nominal <= high:
                 value = as_text(nominal, table[name].unit)
                 problem = f"fit.bounds of {name}, {show(ends)}, exclude its nominal value {value}"
@@ -269,7 +292,7 @@ def _read_span(name: str, ends: Any, declaration: Declaration) -> tuple[float, f
     return low, high
 
 
-def _read_noise(noise: Mapping[str, Any], observe: Sequence[str], plant: Plant) -> dict[str, float]:
+def _read_noise(noise: Mapping[str, Any], observe: Sequence[str], plant: FittedPlant) -> dict[str, float]:
     deviations = {}
     for channel, text in noise.items():
         if channel not in plant.observable:

@@ -1,24 +1,16 @@
 """Parameter names of all rigs, from the declarations of all stages."""
 
-from collections.abc import Iterator
-
-import equinox as eqx
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from smajax.channels import channel_of
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import HEATS
 from smajax.parameters import TIES, declarations
-from smajax.parameters.definitions import Declaration
-from smajax.plant.cells import Cells
-from smajax.plant.coil import Coil
-from smajax.plant.drive import DRIVES
-from smajax.plant.grains import Grains
-from smajax.plant.materials.registry import MATERIALS
-from smajax.plant.mechanisms.registry import MECHANISMS
-from smajax.plant.sensor import Sensor
-from smajax.plant.wire import Environment, Initial, Wire
+from smajax.parameters.definitions import Declaration, sensor_declarations
 
 
-def owners(*, installed: bool = True) -> Iterator[tuple[str, type[eqx.Module], str]]:
+def owners(*, installed: bool = True) -> Iterator[tuple[str, type[Any], str]]:
     """Yield every parameter section that a rig file may have.
 
     Args:
@@ -27,17 +19,24 @@ def owners(*, installed: bool = True) -> Iterator[tuple[str, type[eqx.Module], s
     Returns:
         Tuples of the section's name, its class, and the choice in the rig file that selects this class, in words.
     """
-    materials = MATERIALS if installed else MATERIALS.loaded
-    mechanisms = MECHANISMS if installed else MECHANISMS.loaded
-    yield from (("wire", Wire, "a straight wire"), ("wire", Coil, "a coiled wire"))
-    yield from (("environment", Environment, ""), ("initial", Initial, ""))
-    yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())
-    yield from (("heat", heat, words) for words, heat in HEATS.items())
+    classes = rig_classes()
+    parts = classes.parts
+    materials, mechanisms = (_every(group, installed) for group in (classes.materials, classes.mechanisms))
+    yield from (("wire", parts["Wire"], "a straight wire"), ("wire", parts["Coil"], "a coiled wire"))
+    yield from (("environment", parts["Environment"], ""), ("initial", parts["Initial"], ""))
+    yield from (("drive", drive, f'control = "{control}"') for control, drive in classes.drives.items())
+    yield from (("heat", parts[name], words) for name, words in HEATS.items())
     yield from (("material", material, f'model = "{model}"') for model, material in materials.items())
-    yield from (("cells", Cells, "cells under [wire]"), ("grains", Grains, "grains under [material]"))
+    yield ("cells", parts["Cells"], "cells under [wire]")
+    yield ("grains", parts["Grains"], "grains under [material]")
     for kind, mechanism in mechanisms.items():
         sections = mechanism.rig_sections()
         yield from ((section, part, f'kind = "{kind}"') for section, part in sections.items())
+
+
+def _every(classes: Mapping[str, Any], installed: bool) -> Mapping[str, Any]:
+    """Return the classes of a registry; without those of installed packages that no one has asked for yet."""
+    return classes if installed else getattr(classes, "loaded", classes)
 
 
 def declarations_of(name: str) -> list[Declaration]:
@@ -53,7 +52,7 @@ def declarations_of(name: str) -> list[Declaration]:
     section, _, key = name.partition(".")
     if section == "sensor":
         channel = key.rpartition("_")[0]
-        sensor = Sensor.identity((channel,) if channel_of(channel) else ()).declarations()
+        sensor = sensor_declarations((channel,) if channel_of(channel) else ())
         return [sensor[key]] if key in sensor else []
     keys = {member.partition(".")[2] for member in TIES.get(name, (name,))}
     for installed in (False, True):

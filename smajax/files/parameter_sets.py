@@ -17,7 +17,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
@@ -25,13 +25,15 @@ from smajax import parameters
 from smajax.errors import InputError, suggestion
 from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.renamed_keys import current_name
+from smajax.files.rig_classes import rig_classes
 from smajax.files.toml import STRICT, parse_toml, read_text, render_toml, show, validate, write_text
 from smajax.files.validators import quantity
 from smajax.parameters import declarations
-from smajax.plant.materials.base import AbstractMaterial
-from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, parse_quantity
+
+if TYPE_CHECKING:
+    from smajax.plant.materials.base import AbstractMaterial
 
 SCHEMA = "smajax.parameters/1"
 # Tables that are no section of parameters.
@@ -113,7 +115,7 @@ def find_set(name: str, folder: Path | None = None, place: str = "parameter set 
     raise InputError(f"{place}'{name}' is not known{suggestion(name, shipped)}: {choices}")
 
 
-def load_material(name: str | Path, model: str = "brinson", **values: float) -> AbstractMaterial:
+def load_material(name: str | Path, model: str = "brinson", **values: float) -> "AbstractMaterial":
     """Return a material law with the values of a parameter set.
 
     Args:
@@ -124,9 +126,10 @@ def load_material(name: str | Path, model: str = "brinson", **values: float) -> 
     Raises:
         InputError: If the set or the law is unknown, or a parameter of the law has no value.
     """
-    if model not in MATERIALS:
-        raise InputError(f"there is no material '{model}'{suggestion(model, MATERIALS)}: choose {', '.join(MATERIALS)}")
-    entries, law = parameters.by_leaf(read_parameters(find_set(str(name)))), MATERIALS[model]
+    materials = rig_classes().materials
+    if model not in materials:
+        raise InputError(f"there is no material '{model}'{suggestion(model, materials)}: choose {', '.join(materials)}")
+    entries, law = parameters.by_leaf(read_parameters(find_set(str(name)))), materials[model]
     declared = declarations(law)
     for key in values.keys() - declared.keys():
         raise InputError(f"{model} has no parameter '{key}'{suggestion(key, declared)}: correct or remove it")

@@ -1,23 +1,22 @@
 """Checks of a rig file: its sections and keys against those of its kind, and values that are not possible."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
-
-import equinox as eqx
+from typing import TYPE_CHECKING, Any
 
 from smajax.errors import InputError
 from smajax.files.parameter_names import owners
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import Stages, rig_phrase
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE, FitSection, RigSection
 from smajax.files.rig_structure import STRUCTURE_KEYS
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import checks, declarations
 from smajax.parameters.definitions import Declaration
-from smajax.plant.coil import Coil
-from smajax.plant.mechanisms.registry import MECHANISMS
-from smajax.plant.wire import AbstractWire, Wire
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
+
+if TYPE_CHECKING:
+    from smajax.plant.wire import AbstractWire
 
 OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "recording", "fit")
 # What selects the sections of a wire of several cells or grains.
@@ -79,7 +78,9 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
                 cure = "remove it, since the recording has the temperature, or name the electrical input"
                 raise InputError(f'[{section}] does not apply with control = "{control}": {cure}')
             kinds = [
-                f'kind = "{kind}"' for kind, mechanism in MECHANISMS.items() if section in mechanism.rig_sections()
+                f'kind = "{kind}"'
+                for kind, mechanism in rig_classes().mechanisms.items()
+                if section in mechanism.rig_sections()
             ]
             cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else _STRUCTURE_CURES.get(section, "")
             raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
@@ -87,7 +88,7 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
         raise InputError(_misplaced_key(section, key, stages, choices))
 
 
-def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str, type[eqx.Module]]) -> str:
+def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str, type[Any]]) -> str:
     """Return the sentence about a key that a section of this rig does not have."""
     if f"{section}.{key}" in stages.inert:
         cure = "remove it, since it follows from the recording"
@@ -173,13 +174,16 @@ def check_whole(
             raise InputError(f"{problem}: give a whole number")
 
 
-def check_coil(wire: AbstractWire) -> None:
+def check_coil(wire: "AbstractWire") -> None:
     """Check the geometry of a coil, its stretch and the wiring of a bundle; a straight wire passes.
 
     Raises:
         InputError: If the turns do not fit into the free length, the coil is stretched too far, or a bundle has more
             current paths than springs.
     """
+    from smajax.plant.coil import Coil  # the other checks are made before JAX is loaded
+    from smajax.plant.wire import Wire
+
     if not isinstance(wire, Coil):
         return
     if wire.free_length is not None and not wire.fits:

@@ -5,7 +5,7 @@ comes from the rig file, else from the parameter set that it names, else from th
 ``Rig.sources`` says which.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -14,35 +14,21 @@ from smajax import parameters
 from smajax.arguments import as_path
 from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
-from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
+from smajax.files.fit_settings import FitSettings, FittedPlant, channels_of_sensors, check_observed, fit_settings
 from smajax.files.mappings import plain_tables
 from smajax.files.parameter_sets import find_set
 from smajax.files.recording_notes import with_notes
 from smajax.files.recording_settings import recording_options
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
-from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
-from smajax.files.rig_kinds import DEFAULTS, choose_stages
+from smajax.files.rig_checks import check_coil, check_whole
 from smajax.files.rig_plant import build_effects, build_plant, build_sensor, value_of
-from smajax.files.rig_schema import FitSection, RigSection
-from smajax.files.rig_structure import take_structure
+from smajax.files.rig_schema import FitSection
+from smajax.files.rig_sections import read_sections, read_sensor_values
 from smajax.files.rig_text import rig_toml
-from smajax.files.rig_values import (
-    ParameterSet,
-    entries_for,
-    entry_values,
-    file_values,
-    has_exponent,
-    read_parameter_set,
-    section_values,
-    set_bounds,
-    value_sources,
-)
-from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
-from smajax.parameters import TIES, by_leaf
-from smajax.parameters.definitions import Declaration
-from smajax.plant.mechanisms.registry import MECHANISMS
+from smajax.files.rig_values import ParameterSet, effect_values, entry_values, set_bounds, value_sources
+from smajax.files.toml import flatten_keys, parse_toml, read_text, write_text
+from smajax.parameters.definitions import TIES, Declaration, by_leaf, sensor_declarations
 from smajax.plant.plant import Plant
-from smajax.plant.sensor import Sensor
 from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.read import only_recording, read_recordings
 from smajax.recordings.read_options import ReadOptions
@@ -236,45 +222,30 @@ def _parse_data(data: dict[str, Any], name: str, rows: Mapping[str, int], folder
 
 
 def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path) -> Rig:
-    data, structure = take_structure(data)
-    head, fit = _read_head_and_fit(data)
-    observe = observed_channels(fit, head.kind)
-    parameter_set = read_parameter_set(data, folder)
-    exponent = has_exponent(data, parameter_set)
-    stages = choose_stages(head.kind, head.control, fit.model, observe, exponent, structure)
-    check_belongs(data, stages, head.control)
-    place = {n: f"{name} line {rows[n]}" if n in rows else name for n in _names_in(data)}
+    sections = read_sections(data, name, rows, folder)
+    data, head, fit, observe, stages = sections.data, sections.head, sections.fit, sections.observe, sections.stages
+    parameter_set, table, sources = sections.parameter_set, sections.table, dict(sections.sources)
     free = [*fit.free, *fit.per_recording]
-
-    # Stages, with values from the rig file, else the parameter set, else the kind and the declarations.
-    table = stages.table()
-    leaves = [n for n in table if n not in TIES]
-    values = file_values(data, stages)
-    entries = entries_for(parameter_set, table, by_leaf(values))
-    leaf_values = {**DEFAULTS.get(head.kind, {}), **by_leaf(entry_values(entries)), **by_leaf(values)}
-    require_values([n for n in leaves if table[n].default is None], leaf_values, stages)
-    sources = value_sources(leaves, entries, values, parameter_set.name, place)
-    # Stages check the order as well, without the place of a value.
-    check_order(leaf_values.get, lambda n: table[n].unit, sources)
-    plant = build_plant(stages, leaf_values, free)
+    plant = build_plant(stages, sections.leaf_values, free)
     _check_counts(plant, table, free, sources)
 
     # Effects and sensors depend on the stages.
     check_observed(observe, plant, head.kind)
-    sensor_table = {f"sensor.{key}": d for key, d in Sensor.identity(plant.observable).declarations().items()}
-    sensor_values = section_values("sensor", data.get("sensor", {}), sensor_table)
+    sensor_table = {f"sensor.{key}" for key in sensor_declarations(plant.observable)}
+    sensor_values = read_sensor_values(sections)
     sensor_entries = {n: e for n, e in parameter_set.entries.items() if n in sensor_table and n not in sensor_values}
-    effects, misplaced = build_effects(data.get("effects", {}), plant.capabilities((*observe, *SURROUNDINGS)))
+    values = effect_values(data.get("effects", {}))
+    effects, misplaced = build_effects(values, plant.capabilities((*observe, *SURROUNDINGS)))
     plant, fit = replace(plant, effects=effects), _without_effects(fit, misplaced)
     calibration = entry_values(sensor_entries) | sensor_values
     sensor = build_sensor([*observe, *channels_of_sensors([*calibration, *free])], plant, calibration)
     plant = replace(plant, sensor=sensor)
     sensor_leaves = [f"sensor.{key}" for key in plant.sensor.declarations()]
-    sources |= value_sources(sensor_leaves, sensor_entries, sensor_values, parameter_set.name, place)
+    sources |= value_sources(sensor_leaves, sensor_entries, sensor_values, parameter_set.name, sections.place)
     sources |= {n: "rig file" for n in parameters.all_declarations(plant) if n.startswith("effects.")}
 
-    bounds = set_bounds(entries | sensor_entries, by_leaf(values))
-    settings = fit_settings(fit, observe, plant, stages.inert, bounds)
+    bounds = set_bounds(sections.entries | sensor_entries, by_leaf(sections.values))
+    settings = fit_settings(fit, observe, _fitted_plant(plant, stages.inert), bounds)
     return Rig(
         name=name,
         path=None,
@@ -291,32 +262,10 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
     )
 
 
-def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]:
-    """Check the names of all sections, and return ``[rig]`` and ``[fit]``."""
-    _refuse_actuator(data.get("rig"))
-    check_sections(data)
-    check_schema(data)
-    if "rig" not in data:
-        cure = 'add [rig] with lines like kind = "dead-weight" and control = "current"'
-        raise InputError(f"the section [rig] is missing: {cure}")
-    head = validate(RigSection, data["rig"], "rig")
-    fit = validate(FitSection, data.get("fit", {}), "fit")
-    if head.control is None and head.kind != "path":
-        cure = 'add the electrical input that is recorded, as in control = "current", or control = "temperature"'
-        raise InputError(f"rig.control is missing: {cure}")
-    return head, fit
-
-
-def _refuse_actuator(head: Any) -> None:
-    """Refuse an actuator file, which is not a rig file."""
-    kind = head.get("kind") if isinstance(head, dict) else None
-    if not isinstance(kind, str) or kind in MECHANISMS:
-        return
-    from smajax.files.actuator_file import ACTUATORS
-
-    if kind in ACTUATORS:
-        problem = f'rig.kind = "{kind}" is an actuator, whose metrics need no recording'
-        raise InputError(f"{problem}: 'smajax sweep' computes them, 'smajax check' shows its file")
+def _fitted_plant(plant: Plant, inert: Collection[str]) -> FittedPlant:
+    """Return what the settings of a fit need of a plant."""
+    table = {name: d for name, d in parameters.all_declarations(plant).items() if name not in inert}
+    return FittedPlant(table, plant.observable, plant.drive.control, lambda n: float(parameters.get(plant, n)))
 
 
 def _check_counts(
@@ -326,10 +275,6 @@ def _check_counts(
     counts = {n: d for n, d in table.items() if n not in TIES and n not in set(free)}
     check_whole(counts, lambda n: value_of(plant, n), sources)
     check_coil(plant.wire)
-
-
-def _names_in(data: Mapping[str, Any]) -> list[str]:
-    return [f"{section}.{key}" for section, content in data.items() if isinstance(content, dict) for key in content]
 
 
 def _without_effects(fit: FitSection, effects: Iterable[str]) -> FitSection:

@@ -6,36 +6,22 @@ are in the registries ``smajax.plant.mechanisms.registry`` and ``smajax.plant.ma
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from typing import Any
 
-import equinox as eqx
-
+from smajax.channels import numbered, observable_channels
 from smajax.errors import InputError
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.files.rig_structure import UNIFORM, Structure
 from smajax.parameters import TIES, declarations
 from smajax.parameters.definitions import Declaration
-from smajax.plant.cells import Cells
-from smajax.plant.coil import Coil
-from smajax.plant.convection import PolynomialConvection, PowerLawConvection
-from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
-from smajax.plant.grains import Grains
-from smajax.plant.heat import AbstractHeat, PrescribedTemperature
-from smajax.plant.materials.base import AbstractMaterial
-from smajax.plant.materials.registry import MATERIALS
-from smajax.plant.mechanisms.base import AbstractMechanism
-from smajax.plant.mechanisms.registry import MECHANISMS
-from smajax.plant.mechanisms.stress_path import StressPath
-from smajax.plant.mechanisms.testing_machine import TestingMachine
-from smajax.plant.wire import AbstractWire, Environment, Initial
 
-# Classes of wires by kind of rig; the wire of any other kind is that of its mechanism.
-WIRES: Mapping[str, type[AbstractWire]] = dict.fromkeys(
-    ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip"), Coil
-)
-# Laws of convection by the choice in the rig file that selects them, in words.
-HEATS: Mapping[str, type[AbstractHeat]] = {
-    "h(T) as a polynomial": PolynomialConvection,
-    "an exponent in h(T)": PowerLawConvection,
+# Kinds of rigs whose wire is a coil; the wire of any other kind is that of its mechanism.
+_COILED = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
+# Laws of convection, by the name of the class, and the choice in the rig file that selects each, in words.
+HEATS: Mapping[str, str] = {
+    "PolynomialConvection": "h(T) as a polynomial",
+    "PowerLawConvection": "an exponent in h(T)",
 }
 # Defaults by kind. A path is that of a material point: the size of the wire only scales force and resistance.
 DEFAULTS: Mapping[str, Mapping[str, float]] = {"path": {"wire.diameter": 1e-3, "wire.length": 1.0}}
@@ -43,7 +29,7 @@ DEFAULTS: Mapping[str, Mapping[str, float]] = {"path": {"wire.diameter": 1e-3, "
 
 @dataclasses.dataclass(frozen=True)
 class Stages:
-    """Classes of the stages of a plant.
+    """Classes of the stages of a plant, or their tables.
 
     Attributes:
         kind: Kind of the rig.
@@ -55,31 +41,48 @@ class Stages:
     """
 
     kind: str
-    mechanism: type[AbstractMechanism]
-    drive: type[AbstractDrive]
-    heat: type[AbstractHeat]
-    material: type[AbstractMaterial]
+    mechanism: type[Any]
+    drive: type[Any]
+    heat: type[Any]
+    material: type[Any]
     structure: Structure = UNIFORM
 
     @property
-    def parts(self) -> dict[str, type[eqx.Module]]:
+    def parts(self) -> dict[str, type[Any]]:
         """Classes by parameter section; a stage without parameters has no section."""
         sections = self.mechanism.rig_sections()
         specific = {"drive": self.drive, "heat": self.heat, "material": self.material, **sections}
-        wire = WIRES.get(self.kind, self.mechanism.wire_class)
-        shared = {"wire": wire, "environment": Environment, "initial": Initial}
+        classes = rig_classes().parts
+        wire = classes["Coil"] if self.kind in _COILED else self.mechanism.wire_class
+        shared = {"wire": wire, "environment": classes["Environment"], "initial": classes["Initial"]}
         every = (specific | shared).items()
-        parts: dict[str, type[eqx.Module]] = {section: part for section, part in every if declarations(part)}
+        parts: dict[str, type[Any]] = {section: part for section, part in every if declarations(part)}
         if self.structure.cells > 1:
-            parts["cells"] = Cells
+            parts["cells"] = classes["Cells"]
         if self.structure.grains > 1:
-            parts["grains"] = Grains
+            parts["grains"] = classes["Grains"]
         return parts
+
+    @property
+    def observable(self) -> tuple[str, ...]:
+        """Channels that the plant computes."""
+        return observable_channels(self.mechanism.wires, self.mechanism.coordinate, self.mechanism.extra_channels)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Recorded channels that drive the plant."""
+        control = numbered(self.drive.control, self.mechanism.wires) if self.drive.control else ()
+        return (*control, *(["temperature"] if self.is_prescribed else []), *self.mechanism.prescribed)
+
+    @property
+    def is_prescribed(self) -> bool:
+        """Whether the wire has the recorded temperature."""
+        return self.heat is rig_classes().parts["PrescribedTemperature"]
 
     @property
     def inert(self) -> frozenset[str]:
         """Names of parameters that the plant has and this kind of rig does not use."""
-        return frozenset({"initial.temperature"} if self.heat is PrescribedTemperature else ())
+        return frozenset({"initial.temperature"} if self.is_prescribed else ())
 
     def table(self) -> dict[str, Declaration]:
         """Return the declarations by parameter name, ties after their members; sensors are not included."""
@@ -107,11 +110,11 @@ def choose_stages(
     """Return the classes of the stages of a rig.
 
     Args:
-        kind: Kind of the rig, a key of ``MECHANISMS``; a path prescribes the recorded strain if its stress is observed,
-            else the recorded stress.
-        control: Electrical input, a key of ``DRIVES``, or ``PRESCRIBED_TEMPERATURE`` for a wire that follows its
-            recorded temperature; not used for a path.
-        model: Material law, a key of ``MATERIALS``.
+        kind: Kind of the rig, a key of ``RigClasses.mechanisms``; a path prescribes the recorded strain if its stress
+            is observed, else the recorded stress.
+        control: Electrical input, a key of ``RigClasses.drives``, or ``PRESCRIBED_TEMPERATURE`` for a wire that follows
+            its recorded temperature; not used for a path.
+        model: Material law, a key of ``RigClasses.materials``.
         observe: Channels that are fitted.
         exponent: Whether h(T) has an exponent.
         structure: Numbers of cells and grains.
@@ -119,20 +122,21 @@ def choose_stages(
     Raises:
         InputError: If a temperature is prescribed and the rig has several wires or cells.
     """
-    material = MATERIALS[model]
+    classes = rig_classes()
+    mechanisms, parts, material = classes.mechanisms, classes.parts, classes.materials[model]
     if structure.cells > 1 and (kind == "path" or control == PRESCRIBED_TEMPERATURE):
         cure = "remove it, since the recording has the temperature of the wire"
         raise InputError(f"wire.cells = {structure.cells} does not apply where the temperature is prescribed: {cure}")
     if kind == "path":
-        mechanism = TestingMachine if "stress" in observe else StressPath
-        return Stages(kind, mechanism, NoDrive, PrescribedTemperature, material, structure)
+        mechanism = mechanisms["testing-machine" if "stress" in observe else "path"]
+        return Stages(kind, mechanism, parts["NoDrive"], parts["PrescribedTemperature"], material, structure)
     if control == PRESCRIBED_TEMPERATURE:
-        if MECHANISMS[kind].wires != 1:
+        if mechanisms[kind].wires != 1:
             problem = f'rig.control = "{control}" prescribes one temperature, and {rig_phrase(kind)} has several wires'
             raise InputError(f'{problem}: name the electrical input, as in control = "current"')
-        return Stages(kind, MECHANISMS[kind], NoDrive, PrescribedTemperature, material, structure)
-    heat = PowerLawConvection if exponent else PolynomialConvection
-    return Stages(kind, MECHANISMS[kind], DRIVES[control or ""], heat, material, structure)
+        return Stages(kind, mechanisms[kind], parts["NoDrive"], parts["PrescribedTemperature"], material, structure)
+    heat = parts["PowerLawConvection" if exponent else "PolynomialConvection"]
+    return Stages(kind, mechanisms[kind], classes.drives[control or ""], heat, material, structure)
 
 
 def rig_phrase(kind: str) -> str:

@@ -5,11 +5,9 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from smajax import parameters
-from smajax.errors import InputError, suggestion
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import Stages
-from smajax.files.rig_values import section_values
 from smajax.parameters import as_float, declarations
-from smajax.plant.effects import catalogue
 from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.mechanisms.base import OWN_SECTION
 from smajax.plant.mechanisms.rotary import MasslessRotary, Rotary
@@ -52,36 +50,26 @@ def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[st
     return Plant(mechanism=build(OWN_SECTION, mechanism, **mechanism_parts), sensor=Sensor.identity(()), **parts)
 
 
-def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:
-    """Build the effects in the sections ``[effects.KEY]``.
+def build_effects(
+    values: Mapping[str, Mapping[str, float]], capabilities: frozenset[str]
+) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:
+    """Build effects.
 
     Args:
-        content: Content of ``[effects]``.
+        values: Values by key of the effect and name of the parameter.
         capabilities: Capabilities of the plant, its observed channels and the surroundings that a recording may have,
             as ``Plant.capabilities`` returns them.
 
     Returns:
         The effects, and the reasons, by key, why others do not apply to this rig.
-
-    Raises:
-        InputError: If an effect is not in the catalogue, or a value is not valid.
     """
-    if not isinstance(content, dict):
-        cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it (smajax explain effects)'
-        raise InputError(f"effects is not a section: {cure}")
     effects, misplaced = [], {}
-    for key, keys in content.items():
-        effect = catalogue().get(key)
-        if effect is None:
-            cure = "an effect of your own needs its module to be imported before, or an installed entry point"
-            hint = suggestion(key, catalogue()) or f": {cure}"
-            raise InputError(f"effects.{key} is not in the catalogue{hint} (smajax explain effects)")
-        section = f"effects.{key}"
-        values = section_values(section, keys, {f"{section}.{n}": d for n, d in declarations(effect).items()})
+    for key, numbers in values.items():
+        effect = rig_classes().effects[key]
         if reason := effect.unavailable_reason(capabilities):
             misplaced[key] = reason
             continue
-        effects.append(effect(**{n.rsplit(".", 1)[1]: as_float(v) for n, v in values.items()}))
+        effects.append(effect(**{n: as_float(v) for n, v in numbers.items()}))
     return tuple(effects), misplaced
 
 

@@ -5,11 +5,9 @@ from typing import Annotated, Any
 from pydantic import BaseModel, Field
 
 from smajax.arguments import MAX_SEED, MAX_STARTS
+from smajax.files.rig_classes import rig_classes
 from smajax.files.toml import STRICT
 from smajax.files.validators import one_of
-from smajax.plant.drive import DRIVES
-from smajax.plant.materials.registry import MATERIALS
-from smajax.plant.mechanisms.registry import MECHANISMS
 
 INTERPOLATIONS = ("hold", "linear")
 # The choice of ``rig.control`` for a wire that something else heats, such as water, an oven or a heat gun.
@@ -20,10 +18,10 @@ class RigSection(BaseModel):
     """The section ``[rig]``."""
 
     model_config = STRICT
-    kind: Annotated[str, one_of(MECHANISMS)] = Field(
+    kind: Annotated[str, one_of(lambda: rig_classes().mechanisms)] = Field(
         examples=['"dead-weight"'], description="what the wire works against"
     )
-    control: Annotated[str, one_of((*DRIVES, PRESCRIBED_TEMPERATURE))] | None = Field(
+    control: Annotated[str, one_of(lambda: (*rig_classes().drives, PRESCRIBED_TEMPERATURE))] | None = Field(
         None,
         examples=['"current"'],
         description="electrical input of the recordings, or a prescribed temperature; not for a path",
@@ -42,7 +40,7 @@ class FitSection(BaseModel):
     """The section ``[fit]``, checked without the plant."""
 
     model_config = STRICT
-    model: Annotated[str, one_of(MATERIALS)] = Field("brinson", description="material law")
+    model: Annotated[str, one_of(lambda: rig_classes().materials)] = Field("brinson", description="material law")
     free: list[str] = Field(
         [], examples=['["heat.h0", "heat.capacity"]'], description="parameters that are fitted, by SECTION.KEY"
     )

@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from smajax.errors import InputError
+from smajax.errors import InputError, suggestion
 from smajax.files.parameter_sets import Entry, find_set, read_parameters
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import Stages
 from smajax.files.toml import show, validate
 from smajax.files.validators import section_model
-from smajax.parameters import TIES, by_leaf
+from smajax.parameters import TIES, by_leaf, declarations
 from smajax.parameters.definitions import Declaration
 
 
@@ -117,6 +118,34 @@ def section_values(section: str, content: Any, table: Mapping[str, Declaration])
     keys = {name.rsplit(".", 1)[1]: declaration for name, declaration in table.items()}
     values = validate(section_model(section, keys), content, section)
     return {f"{section}.{key}": value for key, value in values.model_dump(exclude_unset=True).items()}
+
+
+def effect_values(content: Any) -> dict[str, dict[str, float]]:
+    """Return the parameters in the sections ``[effects.KEY]``.
+
+    Args:
+        content: Content of ``[effects]``.
+
+    Returns:
+        Values in internal units by key of the effect and name of the parameter.
+
+    Raises:
+        InputError: If an effect is not in the catalogue, or a value is not valid.
+    """
+    if not isinstance(content, dict):
+        cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it (smajax explain effects)'
+        raise InputError(f"effects is not a section: {cure}")
+    catalogue, read = rig_classes().effects, {}
+    for key, keys in content.items():
+        effect = catalogue.get(key)
+        if effect is None:
+            cure = "an effect of your own needs its module to be imported before, or an installed entry point"
+            hint = suggestion(key, catalogue) or f": {cure}"
+            raise InputError(f"effects.{key} is not in the catalogue{hint} (smajax explain effects)")
+        section = f"effects.{key}"
+        values = section_values(section, keys, {f"{section}.{n}": d for n, d in declarations(effect).items()})
+        read[key] = {n.rsplit(".", 1)[1]: value for n, value in values.items()}
+    return read
 
 
 def entry_values(entries: Mapping[str, Entry]) -> dict[str, float]:

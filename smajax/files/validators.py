@@ -1,6 +1,6 @@
 """Validators of single values in files, for the models of their sections."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, create_model
@@ -43,30 +43,31 @@ def section_model(section: str, keys: Mapping[str, Declaration]) -> type[BaseMod
     return create_model(section, __config__=STRICT, **fields)
 
 
-def one_of(choices: Collection[str]) -> BeforeValidator:
+def one_of(choices: Collection[str] | Callable[[], Collection[str]]) -> BeforeValidator:
     """Return a validator that accepts one of some words; it suggests the most similar one for any other.
 
     Args:
-        choices: The words; a registry is asked anew at each check.
+        choices: The words, or a function that returns them, which is called anew at each check.
     """
 
     return BeforeValidator(OneOf(choices))
 
 
 class OneOf:
-    """Check that a value is one of some words.
+    """Check that a value is one of some words."""
 
-    Attributes:
-        choices: The words.
-    """
-
-    def __init__(self, choices: Collection[str]):
+    def __init__(self, choices: Collection[str] | Callable[[], Collection[str]]):
         """Make the check.
 
         Args:
-            choices: The words; a registry is asked anew at each check.
+            choices: The words, or a function that returns them.
         """
-        self.choices = choices
+        self._choices = choices
+
+    @property
+    def choices(self) -> Collection[str]:
+        """The words."""
+        return self._choices() if callable(self._choices) else self._choices
 
     def __call__(self, value: Any) -> str:
         """Return the word.
@@ -77,8 +78,9 @@ class OneOf:
         Raises:
             InputError: If it is none of the words.
         """
-        if isinstance(value, str) and value in self.choices:
+        choices = self.choices
+        if isinstance(value, str) and value in choices:
             return value
-        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in self.choices]
+        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in choices]
         hint = suggestion(str(value), shown)
         raise InputError(f"{show(value)} is not known{hint}: it is one of {', '.join(shown)}")

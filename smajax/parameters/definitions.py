@@ -1,8 +1,11 @@
 """Declarations of parameters, and ties between them; nothing here needs JAX, so that files are checked without it."""
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
+
+from smajax.channels import CHANNELS, channel_of
 
 # The first of each pair has to be below the second: otherwise a transformation has no width, or the wire of a coil does
 # not fit inside it.
@@ -71,6 +74,23 @@ def declarations(module: Any) -> dict[str, Declaration]:
     if isinstance(module, ClassTable):
         return dict(module.declarations)
     return {f.name: f.metadata["declaration"] for f in dataclasses.fields(module) if "declaration" in f.metadata}
+
+
+def sensor_declarations(channels: Iterable[str]) -> dict[str, Declaration]:
+    """Return the declarations of the gains and offsets of sensors by key, such as ``angle_gain``.
+
+    Args:
+        channels: Names of the observed channels.
+    """
+    table = {}
+    for channel in channels:
+        unit = CHANNELS[channel_of(channel) or channel].unit
+        table[f"{channel}_gain"] = Declaration("1", f"gain of the {channel} sensor", 0.1, 10.0, 1.0)
+        offset_unit = "K" if unit == "degC" else unit
+        table[f"{channel}_offset"] = Declaration(
+            offset_unit, f"offset of the {channel} sensor", -math.inf, math.inf, 0.0
+        )
+    return table
 
 
 def expand(names: Iterable[str]) -> list[str]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from smajax.channels import numbered
+from smajax.channels import numbered, observable_channels
 from smajax.numerics.derivative_order import once_differentiable
 from smajax.numerics.nonsmooth import minimum
 from smajax.plant.cells_and_grains import CLAMP
@@ -22,9 +22,6 @@ from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
 from smajax.plant.state import State
 from smajax.plant.step_solver import StepSolver, newton_corrected
-
-# Channels that every wire has, apart from its strain; ``Plant.observe`` gives each of them.
-_WIRE_CHANNELS = ("temperature", "stress", "force", "resistance", "current", "voltage", "power")
 
 
 class Plant(StepSolver):
@@ -67,10 +64,8 @@ class Plant(StepSolver):
     @property
     def observable(self) -> tuple[str, ...]:
         """Names of the channels that ``observe`` computes."""
-        wires = self.mechanism.wires
-        names = tuple(n for c in _WIRE_CHANNELS for n in numbered(c, wires))
-        strain = numbered("strain", wires)
-        return tuple(dict.fromkeys((self.mechanism.coordinate, *strain, *names, *self.mechanism.extra_channels)))
+        mechanism = self.mechanism
+        return observable_channels(mechanism.wires, mechanism.coordinate, mechanism.extra_channels)
 
     def init(self, signal: Float[Array, " signals"]) -> State:
         """Compute the state at the first sample: as installed, at rest, in equilibrium.

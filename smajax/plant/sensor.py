@@ -7,9 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.channels import CHANNELS, channel_of
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters.definitions import Declaration
+from smajax.parameters.definitions import Declaration, sensor_declarations
 
 # s. Samples that are closer together count as simultaneous, such as repeated samples that fill up a batch; no recording
 # is sampled as fast.
@@ -36,15 +35,7 @@ class Sensor(eqx.Module):
 
     def declarations(self) -> dict[str, Declaration]:
         """Return the declarations of the parameters by key, such as ``angle_gain``."""
-        table = {}
-        for channel in self.gain:
-            unit = CHANNELS[channel_of(channel) or channel].unit
-            table[f"{channel}_gain"] = Declaration("1", f"gain of the {channel} sensor", 0.1, 10.0, 1.0)
-            offset_unit = "K" if unit == "degC" else unit
-            table[f"{channel}_offset"] = Declaration(
-                offset_unit, f"offset of the {channel} sensor", -jnp.inf, jnp.inf, 0.0
-            )
-        return table
+        return sensor_declarations(self.gain)
 
     def leaf(self, key: str) -> Any:
         """Return the value of a parameter by its key, such as ``angle_gain``."""

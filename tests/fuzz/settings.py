@@ -8,9 +8,10 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from smajax.actuators.registry import ACTUATORS
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
-from smajax.files.actuator_file import ACTUATORS, read_actuator
+from smajax.files.actuator_file import read_actuator
 from smajax.files.parameter_sets import read_parameters, shipped_sets
 from smajax.files.rig_file import read_rig
 from smajax.files.templates import write_actuator_example, write_example

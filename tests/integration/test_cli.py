@@ -16,11 +16,11 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
+from smajax.actuators.registry import ACTUATORS
 from smajax.app import cli
 from smajax.app.console import CommandProgress
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
-from smajax.files import actuator_file
 from smajax.files.parameter_sets import read_header, read_parameters, shipped_sets
 from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
@@ -522,7 +522,7 @@ def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
     assert [str(path) for path in jobs[1][1]] == ["b.csv", "c.csv"]
 
 
-@pytest.mark.parametrize("kind", actuator_file.ACTUATORS)
+@pytest.mark.parametrize("kind", ACTUATORS)
 def test_machines_start_and_are_checked_like_rigs(kind, tmp_path):
     result = smajax("init", kind, "--out", tmp_path)
     assert result.exit_code == 0, result.output

@@ -12,11 +12,12 @@ import pytest
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
 from smajax.actuators.flexural import FlexuralActuator
+from smajax.actuators.registry import ACTUATORS
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.recordings.datasets import data_path
 
-KINDS = sorted(actuator_file.ACTUATORS)
+KINDS = sorted(ACTUATORS)
 # Metrics that a sweep needs of every subject.
 ASKED = {"stroke", "force", "bandwidth", "peak_temperature", "energy_per_cycle", "efficiency", "time_to_cool"}
 

@@ -214,11 +214,11 @@ def test_wrong_input_noise_is_refused(rig, given, message):
     with pytest.raises(InputError, match=message):
         parse_rig(RIG + f'input_noise = "{given}"\n', "noise.toml")
     with pytest.raises(InputError, match="fit: input_noise"):
-        read_input_noise(given, rig.plant, "fit: input_noise")
+        read_input_noise(given, rig.plant.drive.control, "fit: input_noise")
 
 
 def test_input_noise_of_a_rig_without_electrical_input_is_refused():
     isobaric = read_rig(ROOT / "data" / "recordings" / "isobaric" / "rig.toml")
     with pytest.raises(InputError, match="has no electrical input"):
-        read_input_noise("1 mA", isobaric.plant, "fit.input_noise")
-    assert find_input_noise(isobaric.plant, [], isobaric.fit) == ()
+        read_input_noise("1 mA", isobaric.plant.drive.control, "fit.input_noise")
+    assert find_input_noise(isobaric.plant.drive.control, [], isobaric.fit) == ()
