@@ -7,6 +7,7 @@ writes data/classes.json, which a test compares with the classes.
 
 import json
 
+from smajax.control.controller_file.schema import controller_kinds
 from smajax.files.class_tables import classes_document
 from smajax.files.loaded_classes import LOADED_CLASSES
 from smajax.recordings.datasets import data_path
@@ -14,7 +15,8 @@ from smajax.recordings.datasets import data_path
 
 def text() -> str:
     """Return the content of the file."""
-    return json.dumps(classes_document(LOADED_CLASSES), indent=1) + "\n"
+    controllers = {kind: list(options) for kind, options in controller_kinds().items()}
+    return json.dumps(classes_document(LOADED_CLASSES) | {"controllers": controllers}, indent=1) + "\n"
 
 
 if __name__ == "__main__":

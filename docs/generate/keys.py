@@ -25,7 +25,7 @@ from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.recordings.datasets import data_path
 from smajax.recordings.read_options import ReadOptions
-from smajax.sweeps import axis_sections, goal_sections, input_section, margin_section, sweep_file
+from smajax.sweeps import schema as sweep
 
 HEAD = ("key", "type, default, bounds", "meaning", "example")
 KINDS = {str: "text", int: "whole number", float: "number", bool: "true or false", list: "list", dict: "table"}
@@ -70,13 +70,13 @@ def controller_keys() -> str:
 def sweep_keys() -> str:
     """Return the keys of a sweep file."""
     sections = {
-        "sweep": (sweep_file.SweepSection, ""),
-        "parameters": (axis_sections.Range, 'A parameter by its name, as a range `["0.1 mm", "0.4 mm"]` or a table:'),
-        "input": (input_section.InputSection, ""),
+        "sweep": (sweep.SweepSection, ""),
+        "parameters": (sweep.Range, 'A parameter by its name, as a range `["0.1 mm", "0.4 mm"]` or a table:'),
+        "input": (sweep.InputSection, ""),
         "objectives": (None, 'A metric by its name: `"max"` or `"min"`. Metrics: ' + _metrics()),
-        "constraints": (goal_sections.Limit, "A metric by its name, with a table:"),
-        "margins": (margin_section.MarginSection, ""),
-        "refine": (sweep_file.RefineSection, ""),
+        "constraints": (sweep.Limit, "A metric by its name, with a table:"),
+        "margins": (sweep.MarginSection, ""),
+        "refine": (sweep.RefineSection, ""),
     }
     return "\n".join(_model(name, model, note) for name, (model, note) in sections.items())
 

@@ -39,7 +39,12 @@ from smajax.files.rig_values import (
 )
 from smajax.files.toml import check_schema, parse_toml, validate
 from smajax.parameters.definitions import TIES, Declaration, by_leaf, declarations, sensor_declarations
+from smajax.recordings.read import read_recordings
 from smajax.recordings.read_options import ReadOptions
+from smajax.recordings.recording import Recording
+
+# Sections in the order of the fields of a plant, in which messages name parameters; those of its mechanism follow.
+_PLANT_SECTIONS = ("cells", "grains", "wire", "environment", "initial", "drive", "heat", "material")
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,8 @@ class RigSections:
 
 
 @dataclass(frozen=True)
-class ExpectedRecording:
-    """What a rig file says of its recordings.
+class CheckedRig:
+    """What a rig file says of its recordings and parameters.
 
     Attributes:
         channels: The section ``[channels]``.
@@ -85,6 +90,9 @@ class ExpectedRecording:
         required: Channels that a recording must have.
         observed: Channels that are fitted.
         clock: Whether it must have a time.
+        control: Electrical input; empty if there is none.
+        prescribed: Recorded channels that the mechanism follows.
+        parameters: Declarations of the parameters of the plant by name.
     """
 
     channels: ChannelSettings
@@ -92,6 +100,30 @@ class ExpectedRecording:
     required: tuple[str, ...]
     observed: tuple[str, ...]
     clock: bool
+    control: str
+    prescribed: tuple[str, ...]
+    parameters: Mapping[str, Declaration]
+
+    def read(self, path: Path, *, observed: bool, changes: Mapping[str, Any]) -> list[Recording]:
+        """Read the recordings of a file, with the checks of ``smajax.files.rig_file.Rig.read_all``.
+
+        Args:
+            path: The file.
+            observed: Whether it must also have the channels that are fitted.
+            changes: Options of ``ReadOptions`` by name, in place of those of the rig.
+
+        Raises:
+            InputError: If it cannot be used; the message names file, row and column.
+        """
+        return read_recordings(
+            path,
+            mapping=self.channels.columns,
+            ignore=self.channels.ignore,
+            required=self.required,
+            observed=self.observed if observed else (),
+            clock=self.clock,
+            options=self.options.replace(**changes),
+        )
 
 
 def read_sections(data: Mapping[str, Any], name: str, rows: Mapping[str, int], folder: Path) -> RigSections:
@@ -130,7 +162,7 @@ def read_sections(data: Mapping[str, Any], name: str, rows: Mapping[str, int], f
     )
 
 
-def check_rig_sections(text: str, name: str, folder: Path) -> ExpectedRecording:
+def check_rig_sections(text: str, name: str, folder: Path) -> CheckedRig:
     """Check the text of a rig file as far as it needs no plant.
 
     Args:
@@ -139,7 +171,7 @@ def check_rig_sections(text: str, name: str, folder: Path) -> ExpectedRecording:
         folder: Folder to which paths of parameter sets are relative.
 
     Returns:
-        What it says of its recordings.
+        What it says of its recordings and parameters.
 
     Raises:
         InputError: As ``smajax.files.rig_file.parse_rig``.
@@ -165,18 +197,26 @@ def read_sensor_values(sections: RigSections) -> dict[str, float]:
     return section_values("sensor", sections.data.get("sensor", {}), table)
 
 
-def _check_other_sections(sections: RigSections) -> ExpectedRecording:
+def _check_other_sections(sections: RigSections) -> CheckedRig:
     """Check the sections that do not determine the stages; what depends on the values of the plant is left alone."""
     data, stages, fit = sections.data, sections.stages, sections.fit
     check_observed(sections.observe, stages, sections.head.kind)
     sensor_values = read_sensor_values(sections)
     effects = effect_values(data.get("effects", {}))
-    fit_settings(fit, sections.observe, _fitted_plant(sections, sensor_values, effects), {})
+    plant = _fitted_plant(sections, sensor_values, effects)
+    fit_settings(fit, sections.observe, plant, {})
     channels = channel_settings(data.get("channels", {}))
     surroundings = [name for key in effects for name in getattr(rig_classes().effects[key], "surroundings", ())]
     required = tuple(dict.fromkeys((*stages.signals, *surroundings)))
-    return ExpectedRecording(
-        channels, recording_options(data), required, sections.observe, clock=sections.head.kind != "path"
+    return CheckedRig(
+        channels=channels,
+        options=recording_options(data),
+        required=required,
+        observed=sections.observe,
+        clock=sections.head.kind != "path",
+        control=plant.control,
+        prescribed=tuple(stages.mechanism.prescribed),
+        parameters=plant.table,
     )
 
 
@@ -184,8 +224,11 @@ def _fitted_plant(
     sections: RigSections, sensor_values: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]
 ) -> FittedPlant:
     """Return what the settings of the fit need of the plant, from declarations and values."""
-    stages, fit, table = sections.stages, sections.fit, dict(sections.table)
-    ties = {name: table.pop(name) for name in TIES if name in table}
+    stages, fit = sections.stages, sections.fit
+    order = [*_PLANT_SECTIONS, *stages.parts]
+    leaves = sorted((n for n in sections.table if n not in TIES), key=lambda n: order.index(n.partition(".")[0]))
+    table = {name: sections.table[name] for name in leaves}
+    ties = {name: declaration for name, declaration in sections.table.items() if name in TIES}
     values = dict(sections.leaf_values)
     for key, numbers in effects.items():
         table |= {f"effects.{key}.{n}": d for n, d in declarations(rig_classes().effects[key]).items()}

@@ -3,47 +3,27 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import BaseModel, Field
+from typing import TYPE_CHECKING, Any
 
 from smajax import parameters
 from smajax.errors import InputError
 from smajax.files.material_limits import Catalogue, read_catalogue
 from smajax.files.parameter_sets import find_set
 from smajax.files.renamed_keys import current_name
-from smajax.files.toml import STRICT, advice, quantity_at, show, validate
-from smajax.files.validators import one_of, quantity
+from smajax.files.toml import advice, quantity_at, show, validate
+from smajax.files.validators import quantity
 from smajax.parameters.definitions import ORDERED_PAIRS, Declaration
-from smajax.sweeps.excitation import SHAPES
-from smajax.sweeps.problem import INPUT
-from smajax.sweeps.space import DEFAULT_POINTS, Axis
-from smajax.sweeps.subject import Subject
+from smajax.sweeps.schema import INPUT, SHAPES, Range
+from smajax.sweeps.space import Axis
 from smajax.units import as_text
 
-SCALES = ("even", "log")
+if TYPE_CHECKING:
+    from smajax.sweeps.subject import Subject
+
 # Keys that distinguish the table of a range from a section of parameters.
 _RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points", "catalogue"))
 # Axis whose values are names of shapes.
 _WAVE = f"{INPUT}wave"
-
-
-class Range(BaseModel):
-    """The keys of a parameter that varies."""
-
-    model_config = STRICT
-    from_: Any = Field(None, alias="from", examples=['"0.1 mm"'], description="lower end of the range")
-    to: Any = Field(None, examples=['"0.4 mm"'], description="upper end of the range")
-    scale: Annotated[str, one_of(SCALES)] = Field(
-        "even", description="whether values are spread evenly over the range, or over its logarithm"
-    )
-    points: int = Field(DEFAULT_POINTS, ge=2, le=100_000, examples=["5"], description="values of a grid")
-    values: list[Any] | None = Field(
-        None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'], description="values in place of a range"
-    )
-    catalogue: str | None = Field(
-        None, examples=['"flexinol"'], description="parameter set whose stock diameters are taken, for wire.diameter"
-    )
 
 
 def read_axes(
@@ -226,7 +206,7 @@ def _ranged_axis(name: str, settings: Range, declaration: Declaration) -> Axis:
     return Axis(name, declaration.unit, lower, upper, log, settings.points, whole=declaration.whole)
 
 
-def check_order(axes: Sequence[Axis], subject: Subject) -> None:
+def check_order(axes: Sequence[Axis], subject: "Subject") -> None:
     """Check the ranges of parameters of which one must stay below the other in every design.
 
     Args:

@@ -22,8 +22,6 @@ from smajax.sweeps.table import read_table, write_table
 
 # Number of threads that write files; each waits for the disk most of the time. Chosen by trial.
 _WRITERS = 8
-# Number of designs in a chunk if the file gives none. Chosen by trial.
-DEFAULT_CHUNK = 1024
 
 
 @dataclass(frozen=True, eq=False)

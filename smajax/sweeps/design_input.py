@@ -12,7 +12,8 @@ from smajax import parameters
 from smajax.channels import numbered
 from smajax.recordings.recording import Recording
 from smajax.sweeps.excitation import discretise_excitation
-from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.problem import AbstractSweepProblem
+from smajax.sweeps.schema import INPUT
 from smajax.sweeps.space import Axis
 from smajax.sweeps.subject import RigSubject, Subject
 from smajax.units import as_text

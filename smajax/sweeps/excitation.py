@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int
 
 from smajax.simulation.inputs import Inputs
 
-SHAPES = ("square", "sine", "triangle")
 # Length of the rest after the last cycle in time constants of the slowest thermal mode: exp(-20) of the excess
 # temperature is far below the 10 % at which a wire counts as cooled.
 REST_LENGTH = 20.0

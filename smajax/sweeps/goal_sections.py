@@ -4,11 +4,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pydantic import BaseModel, Field
-
 from smajax.errors import InputError
-from smajax.files.toml import STRICT, advice, quantity_at, show, validate
+from smajax.files.toml import advice, quantity_at, show, validate
 from smajax.sweeps.margins import HIGHEST, LOWEST
+from smajax.sweeps.schema import Limit
 from smajax.sweeps.space import Axis
 from smajax.sweeps.subject import METRIC_NAMES, Subject
 from smajax.units import unit_of
@@ -18,14 +17,6 @@ GOALS = ("max", "min")
 _UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
 # Units in which limits of the material are shown where the file has no constraint on the metric.
 _LIMIT_UNITS = {"peak_stress": "MPa", "peak_temperature": "degC", "strain_range": "%"}
-
-
-class Limit(BaseModel):
-    """The keys of a constraint."""
-
-    model_config = STRICT
-    at_least: Any = Field(None, examples=['"5 mm"'], description="smallest value of the metric")
-    at_most: Any = Field(None, examples=['"120 degC"'], description="largest value of the metric")
 
 
 def check_metrics(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequence[str]:

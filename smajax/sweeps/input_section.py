@@ -1,64 +1,18 @@
 """The section ``[input]`` of a SWEEP.toml: a periodic input, or a recording."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
-
 import numpy as np
-from pydantic import BaseModel, Field
 
 from smajax.channels import CHANNELS, numbered
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
-from smajax.files.toml import STRICT, quantity_at, show, validate
-from smajax.files.validators import one_of
+from smajax.files.toml import quantity_at, show
 from smajax.recordings.recording import Recording
-from smajax.sweeps.excitation import SHAPES, Excitation
+from smajax.sweeps.excitation import Excitation
+from smajax.sweeps.schema import MAX_FREQUENCY, InputSection
 from smajax.sweeps.space import Axis
 
-# Range of an input's frequency in Hz, far wider than any that a wire can follow.
-MIN_FREQUENCY = 1e-6
-MAX_FREQUENCY = 1e4
 _DEFAULT_DUTY = 0.5
 _DEFAULT_CYCLES = 4
-
-
-class InputSection(BaseModel):
-    """The section, checked without the rig."""
-
-    model_config = STRICT
-    shape: Annotated[str, one_of(SHAPES)] | None = Field(
-        None, alias="wave", examples=['"square"'], description="shape of the periodic input"
-    )
-    amplitude: Any = Field(None, examples=['"0.4 A"'], description="height of the wave above the offset")
-    offset: Any = Field(None, examples=['"0.05 A"'], description="value to which the wave is added")
-    frequency: Any = Field(None, examples=['"0.1 Hz"'], description="frequency of the wave")
-    highest: Any = Field(
-        default=None, examples=['"10 Hz"'], description="highest frequency at which a bandwidth is looked for"
-    )
-    duty: Any = Field(None, examples=["0.5"], description="share of a cycle in which a square wave is on")
-    cycles: int | None = Field(
-        None,
-        ge=1,
-        le=10_000,
-        examples=["4"],
-        description="number of cycles that are simulated; the metrics are those of the last",
-    )
-    recording: str | None = Field(None, examples=['"input.csv"'], description="recording in place of a wave")
-
-
-def read_input(data: Mapping[str, Any]) -> InputSection:
-    """Read the section of a sweep file.
-
-    Args:
-        data: Data of the sweep file.
-
-    Raises:
-        InputError: If it is missing, or a key or value is not valid.
-    """
-    if "input" not in data:
-        lines = 'wave = "square", amplitude = "0.4 A" and frequency = "0.1 Hz"'
-        raise InputError(f"the section [input] is missing: add [input] with lines like {lines}, or with a recording")
-    return validate(InputSection, data["input"], "input")
 
 
 def check_input_recording(rig: Rig, settings: InputSection, recording: Recording) -> None:

@@ -12,34 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from smajax.control.tuning.plant_draws import confidence_axes
 from smajax.errors import InputError
 from smajax.files.renamed_keys import current_name
 from smajax.files.result_folder import read_json
-from smajax.files.toml import STRICT, advice, flatten_keys, quantity_at, show, validate
+from smajax.files.toml import advice, flatten_keys, quantity_at, show, validate
 from smajax.sweeps.margins import HIGHEST, LOWEST, Margins
+from smajax.sweeps.schema import MarginSection
 from smajax.sweeps.subject import RigSubject, Subject
 from smajax.units import as_text
 
 # Largest number of parameters whose ranges are combined: each doubles the number of simulations of a design.
 _MAX_VARIED = 4
-
-
-class MarginSection(BaseModel):
-    """The section ``[margins]``."""
-
-    model_config = STRICT
-    vary: dict[str, Any] = Field(
-        {},
-        examples=['{ "environment.ambient" = "3 K" }'],
-        description="half widths of ranges around the values of the rig or the design",
-    )
-    fit: str | None = Field(None, examples=['"result"'], description="folder of a fit whose intervals are the margins")
-    constraints: list[str] | None = Field(
-        None, examples=['["stroke"]'], description="constraints that hold with the margins; by default all but settling"
-    )
 
 
 def read_margins(data: Mapping[str, Any], subject: Subject, folder: Path) -> Margins | None:

@@ -10,8 +10,6 @@ from jaxtyping import Array, Float, Int
 from smajax.simulation.status import SimulationStatus
 from smajax.sweeps.step_levels import group_steps, next_power_of_two
 
-# Prefix of the names of axes that vary the input instead of the rig.
-INPUT = "input."
 # Names of the result codes by number.
 CODES = tuple(code.name for code in SimulationStatus)
 

@@ -23,7 +23,8 @@ from smajax.sweeps.bandwidth import FrequencyPoint, find_bandwidth
 from smajax.sweeps.excitation import Excitation, GridParts, discretise_excitation, grid_parts
 from smajax.sweeps.margins import Margins, evaluate_with_margins
 from smajax.sweeps.metrics import BANDWIDTH, METRICS, Response, motionless_stroke, response_of, settling
-from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.problem import AbstractSweepProblem
+from smajax.sweeps.schema import INPUT
 
 # Smallest number of steps of a cycle, so that the input and the extremes of a slow wire are resolved. Chosen by trial;
 # test_metrics_agree_with_the_exact_reference of tests/unit/sweeps/test_sweeps.py checks the accuracy.

@@ -16,8 +16,6 @@ from smajax.units import as_text
 NO_LIMITS = "none"
 # Set whose limits hold where neither the sweep nor the set of the rig has any: actuator wires of nickel-titanium.
 DEFAULT_SET = "flexinol"
-# Number of cycles that a wire is to last where the sweep does not say: that of the only stress with a source.
-DEFAULT_LIFE = 1e6
 # Metric that each limit bounds.
 METRIC_OF_LIMIT = {"stress": "peak_stress", "temperature": "peak_temperature", "strain": "strain_range"}
 

@@ -6,13 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import qmc
 
 from smajax.recordings.recording import Floats
-
-SAMPLINGS = ("grid", "latin-hypercube", "sobol")
-# Points of a range on a grid where the file gives no number: two ends and the quarters between them.
-DEFAULT_POINTS = 5
+from smajax.sweeps.schema import DEFAULT_POINTS
 
 
 @dataclass(frozen=True)
@@ -97,6 +93,8 @@ def draw_designs(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> 
     if sampling == "sobol":
         shares = _sobol_points(len(axes), count, seed)
     else:
+        from scipy.stats import qmc  # slow to import, and not needed to read a file
+
         shares = qmc.LatinHypercube(len(axes), rng=np.random.default_rng(seed)).random(count)
     return to_designs(axes, shares)
 
@@ -116,6 +114,8 @@ def to_designs(axes: Sequence[Axis], shares: Float[np.ndarray, "designs axes"]) 
 
 def _sobol_points(axes: int, count: int, seed: int) -> Float[np.ndarray, "designs axes"]:
     """Scrambled Sobol points in [0, 1)."""
+    from scipy.stats import qmc  # slow to import, and not needed to read a file
+
     sampler = qmc.Sobol(axes, rng=np.random.default_rng(seed))
     return sampler.random_base2(max(0, math.ceil(math.log2(count))))[:count]
 

@@ -20,19 +20,12 @@ from smajax.plant.mechanisms.rotary import MasslessRotary
 from smajax.recordings.recording import Recording
 from smajax.sweeps.actuator_problem import ActuatorSweepProblem
 from smajax.sweeps.excitation import Excitation
-from smajax.sweeps.input_section import (
-    MAX_FREQUENCY,
-    MIN_FREQUENCY,
-    InputSection,
-    check_duties,
-    check_input_recording,
-    read_excitation,
-    read_input,
-)
+from smajax.sweeps.input_section import check_duties, check_input_recording, read_excitation
 from smajax.sweeps.margins import Margins
 from smajax.sweeps.metrics import METRICS
-from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.rig_problem import RigSweepProblem
+from smajax.sweeps.schema import INPUT, InputSection, input_declarations, read_input
 from smajax.sweeps.space import Axis
 
 # Names of the metrics of a rig.
@@ -79,17 +72,7 @@ class RigSubject:
         """Parameters that can vary, by name."""
         table = dict(parameters.all_declarations(self.rig.plant))
         if isinstance(self.source, Excitation):
-            control = self.rig.plant.drive.control
-            largest = CHANNELS[control].plausible_range[1]
-            table[f"{INPUT}amplitude"] = Declaration(
-                CHANNELS[control].unit, f"amplitude of the {control}", 0.0, largest, None
-            )
-            table[f"{INPUT}frequency"] = Declaration("Hz", "frequency of the wave", MIN_FREQUENCY, MAX_FREQUENCY, None)
-            table[f"{INPUT}offset"] = Declaration(
-                CHANNELS[control].unit, f"{control} to which the wave is added", 0.0, largest, None
-            )
-            if "square" in self.source.all_shapes:
-                table[f"{INPUT}duty"] = Declaration("1", "share of a cycle that is on", 0.0, 1.0, None)
+            table |= input_declarations(self.rig.plant.drive.control, "square" in self.source.all_shapes)
         return table
 
     @property

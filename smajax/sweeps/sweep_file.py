@@ -32,91 +32,29 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, Field
 
 from smajax import __version__
-from smajax.arguments import MAX_SEED
 from smajax.errors import InputError
 from smajax.files.material_limits import Catalogue, MaterialLimits
-from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, validate
-from smajax.files.validators import one_of
+from smajax.files.toml import parse_toml, read_text, validate
 from smajax.files.versions import package_versions
 from smajax.sweeps.axis_sections import check_order, read_axes, read_catalogues
-from smajax.sweeps.chunks import DEFAULT_CHUNK
 from smajax.sweeps.goal_sections import check_metrics, constraint_units, read_constraints, read_objectives
 from smajax.sweeps.margin_section import read_margins, with_margins
 from smajax.sweeps.margins import Margins, margins_from_document
 from smajax.sweeps.problem import AbstractSweepProblem
-from smajax.sweeps.safe_limits import (
-    DEFAULT_LIFE,
-    NO_LIMITS,
-    SafeLimit,
-    choose_limits,
-    rebuild_limits,
-    safe_limits,
-    with_safe_limits,
-)
-from smajax.sweeps.space import SAMPLINGS, Axis, draw_designs
+from smajax.sweeps.safe_limits import NO_LIMITS, SafeLimit, choose_limits, rebuild_limits, safe_limits, with_safe_limits
+from smajax.sweeps.schema import MAX_DESIGNS, RefineSection, SweepSection, read_head
+from smajax.sweeps.space import Axis, draw_designs
 from smajax.sweeps.subject import RigSubject, Subject, read_subject, rebuild_subject
 from smajax.sweeps.table import read_header
 
-_SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraints", "margins", "refine")
-# Largest number of designs: a table of so many still fits into the memory of a computer.
-_MAX_DESIGNS = 100_000_000
 # Smallest number of rows of A and B for Sobol indices: with fewer the intervals are as wide as the indices.
 _MIN_BASE = 64
-
-
-class SweepSection(BaseModel):
-    """The section ``[sweep]``."""
-
-    model_config = STRICT
-    rig: str = Field(examples=['"rig.toml"'], description="rig or actuator file, relative to the sweep file")
-    sampling: Annotated[str, one_of(SAMPLINGS)] = Field("sobol", description="how designs are drawn")
-    designs: int = Field(
-        1024,
-        ge=1,
-        le=_MAX_DESIGNS,
-        examples=["1024"],
-        description="number of designs; a grid has the product of its points",
-    )
-    seed: int = Field(0, ge=0, le=MAX_SEED, examples=["0"], description="seed of all random numbers")
-    chunk: int = Field(
-        DEFAULT_CHUNK, ge=1, le=1_000_000, examples=["1024"], description="designs that are simulated at once"
-    )
-    metrics: list[str] | None = Field(
-        None, examples=['["stroke", "efficiency"]'], description="metrics of the table; by default all"
-    )
-    gradients: bool = Field(
-        False, examples=["true"], description="whether the table has the derivatives of the metrics"
-    )
-    sensitivity: bool | None = Field(
-        None,
-        examples=["false"],
-        description="whether Sobol indices are estimated; by default where the designs suffice",
-    )
-    limits: str | None = Field(
-        None, examples=['"none"'], description="parameter set whose limits of the material hold, or none"
-    )
-    life: float = Field(
-        DEFAULT_LIFE,
-        gt=0.0,
-        examples=["1_000_000"],
-        description="number of cycles that the wire is to last, for the limit of the stress",
-    )
-
-
-class RefineSection(BaseModel):
-    """The section ``[refine]``."""
-
-    model_config = STRICT
-    starts: int = Field(
-        3, ge=1, le=1000, examples=["3"], description="best designs that are refined along the gradients of the metrics"
-    )
 
 
 @dataclass(frozen=True)
@@ -144,7 +82,7 @@ class ExternalData:
 
 def _read_external(data: Mapping[str, Any], subject: Subject, folder: Path) -> ExternalData:
     """Read the files that a sweep names."""
-    head, catalogues, limits = _read_head(data), read_catalogues(data, folder), None
+    head, catalogues, limits = read_head(data), read_catalogues(data, folder), None
     if isinstance(subject, RigSubject):
         limits = choose_limits(head.limits, subject.rig, folder, tuple(catalogues))
     elif head.limits not in (None, NO_LIMITS):
@@ -270,7 +208,7 @@ def read_sweep(path: str | Path) -> SweepFile:
     text = read_text(path, "sweep")
     data = parse_toml(text, str(path))
     try:
-        subject = read_subject(path.parent / _read_head(data).rig, data, path.parent)
+        subject = read_subject(path.parent / read_head(data).rig, data, path.parent)
         external = _read_external(data, subject, path.parent)
         return _read_sweep(data, path.name, text, subject, external)
     except InputError as error:
@@ -291,19 +229,8 @@ def from_header(header: Mapping[str, Any]) -> SweepFile:
     return _read_sweep(data, header["name"], header["sweep"], subject, _rebuild_external(header))
 
 
-def _read_head(data: Mapping[str, Any]) -> SweepSection:
-    for key, value in data.items():
-        if key not in _SECTIONS:
-            what = f"[{key}] is not a section of a sweep" if isinstance(value, dict) else f"{key} is not known"
-            raise InputError(f"{what}{advice(key, _SECTIONS, 'the sections are')}")
-    check_schema(data)
-    if "sweep" not in data:
-        raise InputError('the section [sweep] is missing: add [sweep] with a line like rig = "rig.toml"')
-    return validate(SweepSection, data["sweep"], "sweep")
-
-
 def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject, external: ExternalData) -> SweepFile:
-    head = _read_head(data)
+    head = read_head(data)
     axes = read_axes(data, subject.declarations, head.sampling, external.catalogues)
     subject = subject.with_axes(axes)
     count = _count_designs(data, head, axes)
@@ -351,8 +278,8 @@ def _count_designs(data: Mapping[str, Any], head: SweepSection, axes: tuple[Axis
             "take it out, or give points"
         )
     count = math.prod(len(axis.grid()) for axis in axes) if head.sampling == "grid" else head.designs
-    if count > _MAX_DESIGNS:
-        raise InputError(f"the grid has {count:,} designs: take fewer points, at most {_MAX_DESIGNS:,} in all")
+    if count > MAX_DESIGNS:
+        raise InputError(f"the grid has {count:,} designs: take fewer points, at most {MAX_DESIGNS:,} in all")
     return count
 
 

@@ -105,7 +105,7 @@ def check(
 ) -> None:
     """Read and validate a rig, its recordings, controllers and sweeps; say what would be fitted, and run nothing."""
     data = [path for path in recordings or [] if path.suffix.lower() != ".toml"]
-    check_files(toml={"rig": rig}, recordings=data)
+    check_files(toml={"file": rig}, recordings=data, reading=reading)
     from smajax.numerics.process import prepare_jax
 
     prepare_jax()  # the program that looks for a transformation is cached for the fit

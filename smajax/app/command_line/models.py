@@ -63,7 +63,7 @@ def simulate(
     open_report: Open = False,
 ) -> None:
     """Simulate a rig under the inputs of a recording."""
-    check_files(toml={"rig": rig}, recordings=[recording], out=out)
+    check_files(toml={"rig": rig}, recordings=[recording], out=out, reading=reading, observed=False)
     with start_run(quiet) as progress:
         from smajax.api.predict import predict
 
@@ -105,7 +105,7 @@ def fit(
     open_report: Open = False,
 ) -> None:
     """Fit a rig's free parameters to recordings, with intervals, and predict others."""
-    check_files(toml={"rig": rig}, recordings=[*train, *(holdout or [])], out=out)
+    check_files(toml={"rig": rig}, recordings=[*train, *(holdout or [])], out=out, reading=reading)
     with start_run(quiet) as progress:
         from smajax.api.fit import fit as fit_rig
 
@@ -153,7 +153,7 @@ def diagnose(
     open_report: Open = False,
 ) -> None:
     """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
-    check_files(toml={"rig": rig}, recordings=[train, select, holdout], out=out)
+    check_files(toml={"rig": rig}, recordings=[train, select, holdout], out=out, reading=reading)
     with start_run(quiet) as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
@@ -192,7 +192,7 @@ def compare(
 ) -> None:
     """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
     names = None if models is None else [word.strip() for word in models.split(",") if word.strip()]
-    check_files(toml={"rig": rig}, recordings=[train, holdout], out=out)
+    check_files(toml={"rig": rig}, recordings=[train, holdout], out=out, reading=reading)
     with start_run(quiet) as progress:
         from smajax.api.compare import compare as compare_models
 

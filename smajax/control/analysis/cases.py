@@ -8,14 +8,11 @@ import scipy.stats
 from jaxtyping import Float
 
 from smajax import parameters
+from smajax.control.analysis.case_numbers import NOISE_CASES
 from smajax.control.analysis.closed_loop_checks import ControlTask, value_at_rest
 from smajax.control.loop.rollout import Scenario
 from smajax.errors import InputError
 
-# Number of draws of the noise. If none of 59 independent cases fails, at least 95 % of all pass, with a confidence of
-# 95 %: 0.95^59 < 0.05 (wilks1941). 64 is the next multiple of the batch size.
-NOISE_CASES = 64
-MIN_NOISE_CASES = 59
 # Range of the ambient temperature about that of the rig, K: that of a room over a day.
 AMBIENT_RANGE = 3.0
 # The temperature of the rig and both ends of the range, as shares of it; that many members of a search have no noise.

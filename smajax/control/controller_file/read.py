@@ -37,11 +37,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.channels import CHANNELS, numbered
-from smajax.control.analysis.cases import NOISE_CASES
+from smajax.control.analysis.case_numbers import NOISE_CASES
 from smajax.control.analysis.step_response import find_jumps
-from smajax.control.controller_file.renamed_keys import with_current_controller_keys
 from smajax.control.controller_file.scenario import read_scenario
-from smajax.control.controller_file.schema import OPTIONS, SECTIONS, ControllerSection, TuneSection, controller_section
+from smajax.control.controller_file.schema import OPTIONS, ControllerSection, TuneSection, controller_section
 from smajax.control.controller_file.search_sections import (
     Robust,
     read_bounds,
@@ -51,6 +50,7 @@ from smajax.control.controller_file.search_sections import (
     read_objective,
     read_robust,
 )
+from smajax.control.controller_file.sections import current_sections
 from smajax.control.controller_file.sensors import read_sensors
 from smajax.control.controllers.base import AbstractController
 from smajax.control.controllers.registry import controller_class, file_kinds
@@ -62,10 +62,9 @@ from smajax.control.tuning.feedforward_identification import Feedforward
 from smajax.control.tuning.task import TuningTask
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
-from smajax.files.toml import advice, check_schema, parse_toml, quantity_at, read_text, show, validate
+from smajax.files.toml import advice, parse_toml, quantity_at, read_text, show, validate
 from smajax.files.validators import quantity
 
-_EXAMPLES = {"controller": 'kind = "pid"', "gains": 'kp = "..."', "reference": 'kind = "step"'}
 # Shortest period in s, lowest frequency of a carrier in Hz, and narrowest settling band: they detect wrong units.
 _MIN_PERIOD = 1e-6
 _MIN_CARRIER = 1e-3
@@ -124,23 +123,9 @@ def read_controller(path: Path, rig: Rig) -> ControllerFile:
     """
     data = parse_toml(read_text(path, "controller"), str(path))
     try:
-        return _read(_current_sections(data), path, rig)
+        return _read(current_sections(data), path, rig)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def _current_sections(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The sections under their current names; unknown and missing ones raise an error."""
-    data = with_current_controller_keys(data)
-    for key in data:
-        if key not in SECTIONS:
-            sections = advice(key, SECTIONS[1:], "the sections are")
-            raise InputError(f"[{key}] is not a section of a controller{sections}")
-    check_schema(data)
-    for section, example in _EXAMPLES.items():
-        if section not in data:
-            raise InputError(f"the section [{section}] is missing: add it, with lines like {example}")
-    return data
 
 
 def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:

@@ -20,21 +20,16 @@ import numpy as np
 from smajax import parameters
 from smajax.control.controller_file.recording_notes import recording_notes
 from smajax.control.controller_file.schema import ChangeSection, ReferenceSection
+from smajax.control.controller_file.sections import reference_section
 from smajax.control.loop import references
 from smajax.control.loop.rollout import Scenario
 from smajax.errors import InputError
 from smajax.files.renamed_keys import current_name
 from smajax.files.rig_file import Rig
-from smajax.files.toml import advice, quantity_at, show, validate
+from smajax.files.toml import quantity_at, show, validate
 from smajax.files.validators import quantity
 from smajax.recordings.read import read_recording
 
-_KEYS_OF_KIND = {
-    "step": ("duration", "low", "high", "at"),
-    "staircase": ("duration", "levels", "hold"),
-    "sine": ("duration", "low", "high", "frequency"),
-    "recorded": ("file",),
-}
 # Rounding error of sample times, s.
 _ROUNDING = 1e-9
 # Cycles of a sine in a period have to be fewer than this: the sampling theorem requires more than two samples a cycle.
@@ -64,29 +59,12 @@ def read_scenario(
     Raises:
         InputError: for a wrong, missing or unsuitable key or value, or a recording that cannot be read.
     """
-    section = _reference_section(data["reference"])
+    section = reference_section(data["reference"])
     reader = _ReferenceReader(section, sampled_channel, show(data["controller"]["period"]), rest_value)
     time, values, initial = reader.recorded(folder, rig) if section.kind == "recorded" else reader.generated()
     draws = jnp.asarray(np.random.default_rng(seed).standard_normal(len(time)))
     changes = _changes(data.get("change", []), rig, time)
     return Scenario(jnp.asarray(values), jnp.asarray(initial), draws, changes), tuple(reader.notes)
-
-
-def _reference_section(data: Any) -> ReferenceSection:
-    """The section, with only keys of its kind."""
-    if isinstance(data, dict) and (kind := str(data.get("kind"))) in _KEYS_OF_KIND:
-        unknown = [key for key in data if key not in ReferenceSection.model_fields]
-        if unknown:  # the message lists the keys of this kind only
-            keys = advice(unknown[0], _KEYS_OF_KIND[kind], f"the keys of a {kind} are")
-            raise InputError(f"reference.{unknown[0]} is not known{keys}")
-    section = validate(ReferenceSection, data, "reference")
-    for key in ("duration", "low", "high", "at", "levels", "hold", "frequency", "file"):
-        if getattr(section, key) not in (None, []) and key not in _KEYS_OF_KIND[section.kind]:
-            raise InputError(
-                f"reference.{key} does not belong to a {section.kind}, "
-                f"whose keys are {', '.join(_KEYS_OF_KIND[section.kind])}: take it out"
-            )
-    return section
 
 
 class _ReferenceReader:

@@ -1,13 +1,18 @@
-"""Sections of controller.toml and their keys, as pydantic models; the examples are shown in error messages."""
+"""Sections of controller.toml and their keys, as pydantic models; the examples are shown in error messages.
 
+The models need no JAX, so that a mistake is reported before it is loaded.
+"""
+
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
+from pydantic import BaseModel, Field
 
 from smajax.arguments import MAX_SEED
-from smajax.control.analysis.cases import NOISE_CASES
-from smajax.control.controllers.registry import controller_class, file_kinds
+from smajax.control.analysis.case_numbers import NOISE_CASES
 from smajax.errors import InputError
+from smajax.files.class_tables import shipped_document
+from smajax.files.rig_classes import uses_tables
 from smajax.files.toml import STRICT, validate
 from smajax.files.validators import one_of
 
@@ -30,15 +35,20 @@ SECTIONS = (
 )
 
 
-def _known_kind(kind: Any) -> str:
-    return TypeAdapter(Annotated[str, one_of(file_kinds())]).validate_python(kind)
+def controller_kinds() -> Mapping[str, Sequence[str]]:
+    """Return the kinds of controllers that a file may name, with the names of their own options."""
+    if uses_tables():
+        return shipped_document()["controllers"]
+    from smajax.control.controllers.registry import file_kinds
+
+    return {kind: cls.options() for kind, cls in file_kinds().items()}
 
 
 class ControllerSection(BaseModel):
     """Section [controller]: kind, period, channel and limits of the command."""
 
     model_config = STRICT
-    kind: Annotated[str, BeforeValidator(_known_kind)] = Field(
+    kind: Annotated[str, one_of(controller_kinds)] = Field(
         "pid", description="kind of controller, or the name of a registered class"
     )
     period: str = Field(examples=['"20 ms"'], description="time between two samples")
@@ -69,7 +79,7 @@ def controller_section(data: Any) -> ControllerSection:
         InputError: for a wrong or unknown key or value, or an own kind whose option has the name of another key.
     """
     kind = data.get("kind", "pid") if isinstance(data, dict) else None
-    own = controller_class(kind).options() if isinstance(kind, str) and kind in file_kinds() else ()
+    own = controller_kinds().get(kind, ()) if isinstance(kind, str) else ()
     if taken := [name for name in own if name in ControllerSection.model_fields and name not in OPTIONS]:
         raise InputError(
             f"controller.kind = '{kind}': its option '{taken[0]}' has the name of another key of [controller]: rename "

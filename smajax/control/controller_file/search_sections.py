@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from smajax import parameters
-from smajax.control.analysis.cases import MIN_NOISE_CASES
+from smajax.control.analysis.case_numbers import MIN_NOISE_CASES
 from smajax.control.controller_file.recording_notes import recording_notes
 from smajax.control.controller_file.renamed_keys import with_current_parameters
 from smajax.control.controller_file.schema import (
