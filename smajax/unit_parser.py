@@ -1,13 +1,16 @@
 """Parser of units such as ``"W/m^2/K"``: a small grammar, in which pint only looks up single names.
 
 Text of a user is never evaluated. A unit is a product of names, with ``* / ^``, integer exponents and brackets, and
-becomes an exact fraction times powers of SI base units. pint is loaded at the first look-up, not at import.
+becomes an exact fraction times powers of SI base units. pint takes longer to load than a file to check; it is loaded at
+the first name that is not among the frequent ones.
 """
 
+import json
 import re
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
@@ -134,11 +137,27 @@ def _times(a: UnitScale, b: UnitScale, exponent: int) -> UnitScale:
 
 @lru_cache(maxsize=CACHED_UNITS)
 def _unit_of_name(name: str) -> UnitScale:
-    """Return the unit of a single name (``mm``, ``uohm``, ``degC``), as pint knows it."""
+    """Return the unit of a single name (``mm``, ``uohm``, ``degC``); frequent ones do not need pint."""
     if name == "1":
         return UnitScale(Fraction(1), ())
     if name.istitle() and len(name) >= _LONG_NAME:  # oscilloscopes write Second and Volt
         name = name.lower()
+    if name in _common_units():
+        factor, dimension, offset = _common_units()[name]
+        powers = tuple((base, Fraction(power)) for base, power in dimension.items())
+        return UnitScale(Fraction(factor), powers, Fraction(offset))
+    return unit_of_pint(name)
+
+
+def unit_of_pint(name: str) -> UnitScale:
+    """Return the unit of a single name, as pint knows it.
+
+    Args:
+        name: The name.
+
+    Raises:
+        UnknownUnitError: The name is not known.
+    """
     registry = _registry()
     try:
         unit = registry.parse_units(name)
@@ -165,7 +184,16 @@ def same_kind(a: UnitScale, b: UnitScale) -> bool:
 
 def unit_names() -> list[str]:
     """Return the names in pint's registry that consist of letters, for suggestions."""
-    return [name for name in dir(_registry()) if name.isalpha()]
+    registry = _registry()
+    for name in _common_units():  # pint lists a name with a prefix, such as millimeter, once it has parsed it
+        registry.parse_units(name)
+    return [name for name in dir(registry) if name.isalpha()]
+
+
+@cache
+def _common_units() -> dict[str, Any]:
+    """Return factor, dimension and offset of frequent names, as ``python -m docs.generate.unit_table`` writes them."""
+    return json.loads(Path(__file__).with_name("common_units.json").read_text("utf-8"))
 
 
 @cache

@@ -1,5 +1,6 @@
 """Quantities as text and columns with units, against values known by hand and round trips that lose nothing."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+import smajax
+from docs.generate import unit_table
 from smajax.channels import CHANNELS, channel_of
 from smajax.errors import InputError
+from smajax.unit_parser import parse_unit, unit_of_pint
 from smajax.units import format_quantity, from_si, parse_quantity, to_si
 
 ROOT = Path(__file__).parents[2]
@@ -234,10 +238,17 @@ def test_channels_are_known_with_and_without_a_number():
         assert all(np.isfinite(to_si(1.0, unit, channel.unit)) for unit in channel.units)
 
 
-def test_pint_is_loaded_at_the_first_conversion_only():
-    code = "import sys, smajax.units as u; a = 'pint' in sys.modules; u.parse_quantity('1 mm', 'm'); print(a, 'pint' in sys.modules)"
+def test_pint_is_loaded_at_the_first_rare_unit_only():
+    quantities = [("0.15 mm", "m"), ("100.6 W/m^2/K", "W/m^2/K"), ("20 °C", "degC"), ("1 furlong", "m")]
+    code = f"""
+import sys
+from smajax.units import parse_quantity
+for text, unit in {quantities!r}:
+    parse_quantity(text, unit)
+    print('pint' in sys.modules)
+"""
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert result.stdout.split() == ["False", "True"]
+    assert result.stdout.split() == ["False", "False", "False", "True"]
 
 
 @pytest.mark.parametrize(
@@ -261,3 +272,10 @@ def test_a_mass_in_place_of_a_weight_is_suggested(unit, canonical, suggested):
         if suggested
         else "did you mean" not in str(raised.value)
     )
+
+
+def test_frequent_units_are_those_of_pint():
+    shipped = Path(smajax.__file__).with_name("common_units.json").read_text("utf-8")
+    assert shipped == unit_table.text(), "run python -m docs.generate.unit_table"
+    for name in json.loads(shipped):
+        assert parse_unit(name) == unit_of_pint(name)
