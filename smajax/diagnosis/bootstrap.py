@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 
 # Number of blocks into which the bootstrap divides a residual, each longer than its correlation. Chosen by trial.
@@ -36,6 +35,8 @@ def bootstrap_cut(
 
     def cut(before: np.ndarray, after: np.ndarray, axis: int) -> np.ndarray:
         return np.sqrt(np.mean(before, axis=axis)) - np.sqrt(np.mean(after, axis=axis))
+
+    import scipy.stats  # slow to import, and seldom needed
 
     # The blocks are paired, and drawn together for both fits.
     interval = scipy.stats.bootstrap(

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Float
 
 from smajax.fitting.noise import difference_noise
@@ -84,8 +83,9 @@ def correlation(
     norm = np.linalg.norm(a) * np.linalg.norm(b)
     if norm <= 1e-12 * max(np.abs(first).max(initial=0.0) * np.abs(second).max(initial=0.0), 1e-300):
         return np.zeros(2 * lags + 1)
-    zero_lag = len(a) - 1
-    return scipy.signal.correlate(a, b)[zero_lag - lags : zero_lag + lags + 1] / norm
+    count = len(a)
+    products = [a[max(k, 0) : count + min(k, 0)] @ b[max(-k, 0) : count - max(k, 0)] for k in range(-lags, lags + 1)]
+    return np.array(products) / norm
 
 
 def estimate_noise(residual: Float[np.ndarray, " n"], inputs: dict[str, np.ndarray]) -> tuple[float, str]:

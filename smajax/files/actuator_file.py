@@ -46,7 +46,8 @@ def is_actuator(text: str) -> bool:
         head = tomllib.loads(text).get("rig")
     except tomllib.TOMLDecodeError:
         return False
-    return isinstance(head, dict) and head.get("kind") in rig_classes().actuators
+    kind, classes = head.get("kind") if isinstance(head, dict) else None, rig_classes()
+    return isinstance(kind, str) and kind not in classes.mechanisms and kind in classes.actuators
 
 
 def kind_of(actuator: "AbstractActuator") -> str:

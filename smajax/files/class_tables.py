@@ -8,7 +8,7 @@ a test compares the two.
 import functools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -40,6 +40,30 @@ class RigClasses:
     effects: Mapping[str, Any]
     actuators: Mapping[str, Any]
     parts: Mapping[str, Any]
+
+
+class LazyMapping(Mapping[str, Any]):
+    """Mapping whose content is loaded when it is first needed."""
+
+    def __init__(self, load: Callable[[], Mapping[str, Any]]):
+        """Keep the function that returns the content.
+
+        Args:
+            load: The function.
+        """
+        self._load = functools.cache(load)
+
+    def __getitem__(self, key: str) -> Any:
+        """Return the value of a key."""
+        return self._load()[key]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the keys."""
+        return iter(self._load())
+
+    def __len__(self) -> int:
+        """Return the number of keys."""
+        return len(self._load())
 
 
 @functools.cache

@@ -1,7 +1,9 @@
 """The classes that a rig file selects, from their registries and modules; importing this loads JAX."""
 
-from smajax.actuators.registry import ACTUATORS
-from smajax.files.class_tables import RigClasses
+from collections.abc import Mapping
+from typing import Any
+
+from smajax.files.class_tables import LazyMapping, RigClasses
 from smajax.plant.cells import Cells
 from smajax.plant.coil import Coil
 from smajax.plant.convection import PolynomialConvection, PowerLawConvection
@@ -18,6 +20,18 @@ _PARTS = (
     *(NoDrive, PolynomialConvection, PowerLawConvection, PrescribedTemperature),
 )
 
+
+def _actuators() -> Mapping[str, Any]:
+    from smajax.actuators.registry import ACTUATORS  # slow to import, and not needed to read a rig
+
+    return ACTUATORS
+
+
 LOADED_CLASSES = RigClasses(
-    MECHANISMS, MATERIALS, DRIVES, catalogue(), ACTUATORS, {part.__name__: part for part in _PARTS}
+    mechanisms=MECHANISMS,
+    materials=MATERIALS,
+    drives=DRIVES,
+    effects=catalogue(),
+    actuators=LazyMapping(_actuators),
+    parts={part.__name__: part for part in _PARTS},
 )

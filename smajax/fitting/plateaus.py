@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from smajax.fitting.autoregression import autoregressive_spectrum, fit_autoregression
 from smajax.fitting.noise import second_difference_noise
@@ -78,7 +78,7 @@ def find_plateaus(values: np.ndarray) -> Plateaus:
     parts = [part for part, slope in zip(parts, slopes, strict=True) if abs(slope) < _MAX_SLOPE]
     slopes = slopes[np.abs(slopes) < _MAX_SLOPE]
     covered = sum(end - first for first, end in parts)
-    if covered < _MIN_COVER * len(values) or np.sum(slopes**2) > scipy.stats.chi2.isf(_SLOPE_PROBABILITY, len(parts)):
+    if covered < _MIN_COVER * len(values) or np.sum(slopes**2) > scipy.special.chdtri(len(parts), _SLOPE_PROBABILITY):
         return none
     means = values.copy()
     for first, end in parts:

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
-from scipy.stats import chi2
+import scipy.special
 
 from smajax.errors import Cancelled, InputError, suggestion
 from smajax.fitting.abstract_problem import residual
@@ -19,7 +17,7 @@ from smajax.fitting.result import FitResult
 from smajax.fitting.unknowns import Settings
 
 # 95 % quantile of the chi-squared distribution with one degree of freedom, 3.84.
-CHI2_95 = float(chi2.ppf(0.95, 1))
+CHI2_95 = float(2.0 * scipy.special.gammaincinv(0.5, 0.95))
 # Ends of a search at which the cost is that of a minimum.
 _ENDED = (SolverStatus.converged, SolverStatus.stalled)
 # Values over the bounds of a parameter that is not determined; the factor by which the distance to an excluded value is
@@ -273,6 +271,9 @@ def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> fl
     above = np.flatnonzero(root > 0.0)
     if not len(above) or above[0] == 0:
         return None
+    from scipy.interpolate import PchipInterpolator  # slow to import, and seldom needed
+    from scipy.optimize import brentq
+
     curve = PchipInterpolator(distance[:count], root)
     step = float(cast(Any, brentq(curve, distance[above[0] - 1], distance[above[0]])))
     return float(values[0] + math.copysign(step, values[count - 1] - values[0]))

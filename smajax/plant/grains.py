@@ -32,7 +32,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import ndtri
 
 from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.base import AbstractMaterial
@@ -87,6 +86,8 @@ class Grains(CheckedModule):
 
         Two grains have no n_i other than 0.
         """
+        from scipy.special import ndtri  # slow to import, and seldom needed
+
         quantiles = ndtri((np.arange(self.count) + 0.5) / self.count)
         quantiles = quantiles / np.sqrt(np.mean(quantiles**2))
         other = np.concatenate([quantiles[::2], quantiles[1::2]])

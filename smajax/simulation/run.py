@@ -9,7 +9,6 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -28,7 +27,6 @@ from smajax.simulation.argument_checks import A_RECORDING, check_plant
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
-from smajax.simulation.integration import forward_mode_refused, integrate_vector_field
 from smajax.simulation.physical_limits import status_with_limits, within_limits
 from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
 from smajax.simulation.status import SimulationStatus
@@ -185,20 +183,20 @@ def _response(plant: Plant, inputs: Inputs, states: State, status: Int[Array, ""
 
 
 @jit_with_kernels
-def simulate_vector_field(
-    plant: Plant, inputs: Inputs, solver: dfx.AbstractSolver[Any], adjoint: dfx.AbstractAdjoint | None = None
-) -> Simulation:
+def simulate_vector_field(plant: Plant, inputs: Inputs, solver: Any, adjoint: Any = None) -> Simulation:
     """Simulate a plant by a diffrax solver of its vector field.
 
     Args:
         plant: The plant.
         inputs: Its inputs on a grid.
-        solver: The solver.
+        solver: The solver, a ``diffrax.AbstractSolver``.
         adjoint: How diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint`` if not given.
 
     Raises:
         InputError: If the plant has no vector field.
     """
+    from smajax.simulation.integration import integrate_vector_field  # diffrax, which is slow to import
+
     return _response(plant, inputs, *integrate_vector_field(plant, inputs, solver, adjoint))
 
 
@@ -208,8 +206,8 @@ def simulate(
     *,
     interpolation: str | None = None,
     step: float | None = None,
-    solver: dfx.AbstractSolver[Any] | None = None,
-    adjoint: dfx.AbstractAdjoint | None = None,
+    solver: eqx.Module | None = None,
+    adjoint: eqx.Module | None = None,
     throw: bool = True,
 ) -> Simulation:
     """Simulate a plant; safe under ``jax.jit``, ``jax.vmap`` and differentiation in both modes.
@@ -252,6 +250,8 @@ def simulate(
     if solver is None:
         result = simulate_inputs(present, inputs)
     else:
+        from smajax.simulation.integration import forward_mode_refused  # diffrax, which is slow to import
+
         with forward_mode_refused():
             result = simulate_vector_field(present, inputs, solver, adjoint)
     if throw and not isinstance(result.status, Tracer):

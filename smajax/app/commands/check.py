@@ -12,14 +12,13 @@ import numpy as np
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
 from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
-from smajax.app.commands.check_files import describe_controller, describe_sweep, kind_of_file
 from smajax.channels import channel_unit
 from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
 from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
 from smajax.files.latent_heat_note import latent_heat_note
 from smajax.files.rig_file import Rig, read_rig
-from smajax.files.toml import read_text
+from smajax.files.toml import parse_toml, read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.fitting.memory import fit_memory, free_memory
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
@@ -61,8 +60,10 @@ def describe(
         InputError: For the first mistake in a file, or for recordings of an actuator.
     """
     text = read_text(path, "rig")
-    kind = kind_of_file(path)
+    kind = _kind_of_file(path)
     if kind == "sweep":
+        from smajax.app.commands.check_files import describe_sweep  # all of smajax.sweeps
+
         lines = describe_sweep(path)
         if recordings:
             raise InputError(f"{path}: a sweep needs no recording: remove {recordings[0]} from the command line")
@@ -72,7 +73,7 @@ def describe(
         lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
     else:
         rig = read_rig(path).with_read_options(**reading)
-        others = {file: kind_of_file(file) for file in recordings if file.suffix == ".toml"}
+        others = {file: _kind_of_file(file) for file in recordings if file.suffix == ".toml"}
         data = [file for file in recordings if file not in others]
         lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, data)], auto)
         for file, kind in others.items():
@@ -80,10 +81,18 @@ def describe(
     return "\n".join(line.rstrip() for line in lines)
 
 
+def _kind_of_file(path: Path) -> str:
+    """Return what a TOML file is: ``controller``, ``sweep``, or ``rig`` for any other."""
+    data = parse_toml(read_text(path, "rig"), str(path))
+    return next((kind for kind in ("controller", "sweep") if kind in data), "rig")
+
+
 def _describe_other(file: Path, kind: str, rig: Rig) -> list[str]:
     """Describe a file next to a rig that is no recording."""
     if kind == "rig":
         raise InputError(f"{file}: this is a rig, and one is checked at a time: write smajax check {file}")
+    from smajax.app.commands.check_files import describe_controller, describe_sweep  # control and sweeps
+
     return describe_controller(file, rig) if kind == "controller" else describe_sweep(file)
 
 

@@ -9,23 +9,9 @@ from smajax.channels import CHANNELS, channel_of
 from smajax.control.controller_file.read import read_controller
 from smajax.control.loop.gains import gain, gains
 from smajax.files.rig_file import Rig
-from smajax.files.toml import parse_toml, read_text
 from smajax.report.summary import table
 from smajax.sweeps.sweep_file import read_sweep
 from smajax.units import as_text
-
-
-def kind_of_file(path: Path) -> str:
-    """Return what a TOML file is: ``controller``, ``sweep``, or ``rig`` for any other.
-
-    Args:
-        path: The file.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
-    data = parse_toml(read_text(path, "rig"), str(path))
-    return next((kind for kind in ("controller", "sweep") if kind in data), "rig")
 
 
 def describe_controller(path: Path, rig: Rig) -> list[str]:

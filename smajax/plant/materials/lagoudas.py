@@ -41,7 +41,6 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from scipy.optimize import root_scalar
 
 from smajax.numerics.nonsmooth import clip, maximum, minimum
 from smajax.parameters import parameter
@@ -231,6 +230,8 @@ class Lagoudas(AbstractMaterial):
             return math.inf
         if work <= 0.0:
             return 0.0
+        from scipy.optimize import root_scalar  # slow to import, and seldom needed
+
         return float(root_scalar(excess_work, bracket=(0.0, _HIGHEST_STRESS)).root)
 
     def calibration(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
