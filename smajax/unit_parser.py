@@ -140,9 +140,9 @@ def _unit_of_name(name: str) -> UnitScale:
     """Return the unit of a single name (``mm``, ``uohm``, ``degC``); frequent ones do not need pint."""
     if name == "1":
         return UnitScale(Fraction(1), ())
-    if name.istitle() and len(name) >= _LONG_NAME:  # oscilloscopes write Second and Volt
-        name = name.lower()
-    if name in _common_units():
+    if name.istitle() and len(name) >= _LONG_NAME and name not in _common_units():
+        name = name.lower()  # oscilloscopes write Second and Volt
+    if name in _common_units():  # Mohm, too, which is no mohm
         factor, dimension, offset = _common_units()[name]
         powers = tuple((base, Fraction(power)) for base, power in dimension.items())
         return UnitScale(Fraction(factor), powers, Fraction(offset))

@@ -13,10 +13,11 @@ from smajax.unit_parser import UnknownUnitError, unit_of_pint
 
 _PREFIXES = ("", *"GMkhdcmnp", "u", "\u00b5", "\u03bc")
 _WITH_PREFIX = (
-    *("m", "g", "s", "A", "V", "W", "N", "Pa", "J", "Hz", "K", "rad", "F", "H", "C", "L", "l", "bar"),
+    *("m", "g", "s", "A", "V", "W", "N", "Pa", "J", "Hz", "K", "F", "H", "C", "L", "l", "bar"),
     *("ohm", "\u03a9", "\u2126"),
 )
 _OTHERS = (
+    *("rad", "mrad", "urad", "krad"),
     *("degC", "degF", "\u00b0C", "\u00b0F", "deg", "\u00b0", "min", "h", "hour", "hours", "day", "rpm", "%", "percent"),
     *("meter", "gram", "second", "seconds", "ampere", "volt", "watt", "newton", "pascal", "joule", "kelvin", "radian"),
     *("degree", "degrees", "inch", "ft", "psi", "ksi", "atm", "lb", "lbf", "kgf", "cal", "kcal", "eV", "celsius"),

@@ -279,3 +279,4 @@ def test_frequent_units_are_those_of_pint():
     assert shipped == unit_table.text(), "run python -m docs.generate.unit_table"
     for name in json.loads(shipped):
         assert parse_unit(name) == unit_of_pint(name)
+    assert parse_quantity("8 Mohm", "ohm") == 8e6 and parse_quantity("8 Volt", "V") == 8.0
