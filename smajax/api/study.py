@@ -11,9 +11,8 @@ from smajax.errors import InputError
 from smajax.files.documents import to_json
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.report.documents import write_result
-from smajax.report.notebook import notebook_html
 from smajax.report.prediction import Series, read_predictions, write_predictions
-from smajax.report.rebuild import PAGES
+from smajax.report.rebuild import build_page
 from smajax.report.summaries import summarise
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ class Study:
             # The table is read back, so that `smajax report` makes the same page.
             data = read_predictions(folder / PREDICTIONS)
         rig = self.file_text("rig.toml") if "rig.toml" in self.files else ""  # thermal cycles have none
-        (folder / REPORT).write_text(PAGES[self.command](self.document, data, run, rig), "utf-8")
+        (folder / REPORT).write_text(build_page(self.command, self.document, data, run, rig), "utf-8")
 
     def file_text(self, name: str) -> str:
         """Return the text of a file of the study.
@@ -152,4 +151,6 @@ class Study:
 
     def _repr_html_(self) -> str:
         """Representation in notebooks."""
+        from smajax.report.notebook import notebook_html  # the pages of all commands
+
         return notebook_html(self.command, self.document)

@@ -1,32 +1,39 @@
 """Report of a finished run, built again from the files in its folder without a simulation."""
 
-from collections.abc import Callable, Mapping
+import importlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
 from smajax.files.result_folder import replace_file
-from smajax.report.comparison import comparison_page
-from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
-from smajax.report.properties_page import properties_page
-from smajax.report.run_pages import fit_page, simulation_page
-from smajax.report.sweep import sweep_page
-from smajax.report.tuning import tuning_page
-from smajax.sweeps.table import read_table
 
-# Function of each command that builds its page from the document, the data (predictions; of a sweep the columns of
-# its table), run.json and the text of the rig file.
-PAGES: Mapping[str, Callable[[Mapping[str, Any], Any, Mapping[str, Any], str], str]] = {
-    "fit": fit_page,
-    "diagnose": diagnosis_page,
-    "compare": comparison_page,
-    "tune": tuning_page,
-    "sweep": sweep_page,
-    "properties": properties_page,
-    "simulate": simulation_page,
+# Module of this folder, and its function, that builds the page of each command; a command imports its own only.
+_PAGES: Mapping[str, tuple[str, str]] = {
+    "fit": ("run_pages", "fit_page"),
+    "diagnose": ("diagnosis_page", "diagnosis_page"),
+    "compare": ("comparison", "comparison_page"),
+    "tune": ("tuning", "tuning_page"),
+    "sweep": ("sweep", "sweep_page"),
+    "properties": ("properties_page", "properties_page"),
+    "simulate": ("run_pages", "simulation_page"),
 }
+
+
+def build_page(command: str, document: Mapping[str, Any], data: Any, run: Mapping[str, Any], rig: str) -> str:
+    """Return the report of a command as HTML.
+
+    Args:
+        command: The command.
+        document: The content of its result document.
+        data: Predictions; of a sweep the columns of its table.
+        run: The content of run.json.
+        rig: The text of the rig file.
+    """
+    module, function = _PAGES[command]
+    return getattr(importlib.import_module(f"smajax.report.{module}"), function)(document, data, run, rig)
 
 
 def rebuild_report(folder: Path) -> Path:
@@ -52,7 +59,7 @@ def rebuild_report(folder: Path) -> Path:
         reason = getattr(error, "strerror", None) or "not UTF-8"
         raise InputError(f"{folder / 'rig.toml'}: the file cannot be read ({reason}): run the command again") from None
     try:
-        page = PAGES[run.command](document.to_dict(), data, run.to_dict(), rig)
+        page = build_page(run.command, document.to_dict(), data, run.to_dict(), rig)
     except (LookupError, StopIteration, ValueError) as error:
         problem = f"it does not fit the document of the folder ({type(error).__name__} {error})"
         raise InputError(f"{folder / data_file(run.command)}: {problem}: run the command again") from None
@@ -79,4 +86,8 @@ def read_data(folder: Path, command: str) -> Any:
         InputError: If the file is missing or damaged.
     """
     path = folder / data_file(command)
-    return read_table(path) if command == "sweep" else read_predictions(path)
+    if command != "sweep":
+        return read_predictions(path)
+    from smajax.sweeps.table import read_table  # pyarrow, which other commands do not need
+
+    return read_table(path)

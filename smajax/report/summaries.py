@@ -1,19 +1,18 @@
 """Summary of each command's result for a terminal, a function of its document alone."""
 
-from collections.abc import Callable, Mapping
+import importlib
+from collections.abc import Mapping
 from typing import Any
 
-from smajax.report import comparison, diagnosis_summary, properties, simulation_summary, summary, sweep, tuning
-
-# Function of each command that formats its document, with a line on the result folder unless its name is empty.
-SUMMARIES: Mapping[str, Callable[[Mapping[str, Any], str], str]] = {
-    "fit": summary.text,
-    "diagnose": diagnosis_summary.text,
-    "compare": comparison.text,
-    "tune": tuning.text,
-    "sweep": sweep.text,
-    "properties": properties.text,
-    "simulate": simulation_summary.text,
+# Module of this folder whose function ``text`` formats the document of each command; a command imports its own only.
+_MODULES: Mapping[str, str] = {
+    "fit": "summary",
+    "diagnose": "diagnosis_summary",
+    "compare": "comparison",
+    "tune": "tuning",
+    "sweep": "sweep",
+    "properties": "properties",
+    "simulate": "simulation_summary",
 }
 
 
@@ -25,4 +24,4 @@ def summarise(command: str, document: Mapping[str, Any], folder: str = "") -> st
         document: The content of its result document; that of run.json for a simulation.
         folder: The result folder, which the last line names; empty for none.
     """
-    return SUMMARIES[command](document, folder)
+    return importlib.import_module(f"smajax.report.{_MODULES[command]}").text(document, folder)

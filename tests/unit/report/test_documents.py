@@ -20,7 +20,7 @@ from smajax.report.documents.write import write_result
 from smajax.report.prediction import make_series, write_predictions
 from smajax.report.rebuild import rebuild_report
 from smajax.report.result_figures import FIGURES
-from smajax.report.summaries import SUMMARIES, summarise
+from smajax.report.summaries import summarise
 from smajax.sweeps.table import write_table
 from tests.conftest import ROOT
 from tests.unit.report.example_documents import CONTROLLER, EXAMPLES, FIT, SIMULATION, run
@@ -152,7 +152,7 @@ def test_the_first_documents_of_version_1_are_readable(tmp_path, shared):
         example = json.loads((shared / "design" / "examples" / f"{name}.json").read_text("utf-8"))
         content = read_document(write_run(tmp_path / name, command, example)).to_dict()
         assert content["rmse"] == example["rmse"]
-        assert SUMMARIES[command](content, "")
+        assert summarise(command, content)
 
 
 def test_draws_from_a_fit_of_version_1_use_the_current_names(tmp_path):
