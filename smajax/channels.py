@@ -164,7 +164,7 @@ def channel_suggestion(name: str) -> str:
     Returns:
         The suggestion with a leading space; empty if no channel is similar.
     """
-    if re.search(r"_0+\d*$", name) and channel_of(name.rpartition("_")[0]):
+    if re.search(r"_0\d*$", name) and channel_of(name.rpartition("_")[0]):
         return f" (did you mean '{name.rpartition('_')[0]}_1'?)"
     base, _, number = name.lower().rpartition("_") if re.search(r"_\d+$", name) else (name.lower(), "", "")
     suffix = f"_{number}" if number else ""

@@ -15,7 +15,7 @@ from smajax.units import conversion
 
 # Headers of a first column that pandas writes for the row numbers.
 ROW_NUMBER_HEADERS = ("", "Unnamed: 0")
-_HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+_HEADER = re.compile(r"(?P<name>[^\[\]]*+)(?:\[(?P<unit>[^\[\]]*+)\])?")
 
 
 class ColumnNote(str):
@@ -190,7 +190,7 @@ def name_and_unit(header: str) -> tuple[str, str | None]:
         header: The header; its unit is ``None`` if it has none.
     """
     match = _HEADER.fullmatch(header)
-    return (match["name"], match["unit"]) if match else (header, None)
+    return (match["name"].rstrip(), match["unit"]) if match else (header, None)
 
 
 def require_channels(

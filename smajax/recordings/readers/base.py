@@ -21,8 +21,9 @@ from smajax.recordings.readers.time_stamps import StampColumn, is_like_stamp
 MEMORY_LIMIT = 2 * 2**30
 # Columns of float64 that are in memory in addition to those that are read, while these are joined and checked.
 _WORKING_COLUMNS = 6
-_PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
+# Possessive quantifiers (++): a cell of a hundred thousand digits is refused as fast as it is read.
+_PLAIN_NUMBER = re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?", re.ASCII)
+_COMMA_NUMBER = re.compile(r"[+-]?(\d++,\d*+|,\d++)([eE][+-]?\d++)?", re.ASCII)
 # Texts of cells by which programs mark missing values and values that are not finite.
 _NOT_FINITE = ("nan", "inf", "infinity", "na", "n/a", "#n/a", "null", "none")
 

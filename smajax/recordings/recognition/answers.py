@@ -12,7 +12,9 @@ from smajax.recordings.recognition.unit_names import unit_for
 # Answer for a column that is not a channel.
 LEFT_OUT = "-"
 _SCALE_KEYS = ("factor", "offset", "full_scale")
-_ANSWER = re.compile(r"(?P<channel>\w+)\s*(?:\[(?P<unit>[^\]]*)\])?(?P<scale>(?:[\s,]+\w+\s*=\s*\S+)*)\s*")
+_ANSWER = re.compile(
+    r"(?P<channel>\w++)(?:\s*+\[(?P<unit>[^\]]*+)\])?+(?P<scale>(?:[\s,]++\w++\s*+=\s*+[^\s,]++)*+)\s*+"
+)
 _SETTING = re.compile(r"(\w+)\s*=\s*([^\s,]+)")
 _EXAMPLE = (
     "write it like 'force [N]', 'force [N] factor=-0.0087 offset=7.5', 'duty full_scale=255', or - to leave it out"

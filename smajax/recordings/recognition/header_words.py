@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from smajax.channels import channel_of
-from smajax.recordings.column_mapping import ChannelMap
+from smajax.recordings.column_mapping import ChannelMap, name_and_unit
 from smajax.recordings.recognition.unit_names import SUFFIXES, channel_of_unit, is_counts, unit_for
 
 
@@ -70,9 +70,7 @@ _FIRST = ("ambient", "fan")
 # Words of a length that is likely to be meant where they begin or end a longer word.
 _LONG = 4
 _ROW_NUMBERS = _words("index row rows sample samples nr no n # id count counter")
-_BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<](?P<unit>[^\])>]*)[\])>]\s*$")
-_SEPARATED = re.compile(r"(?P<name>.+?)(\s*/\s+|\s+/\s*|\s+in\s+|,\s*)(?P<unit>[^\s,/]+)$")
-_OWN_HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+_OPENING, _CLOSING = "[(<", "])>"
 _SEPARATORS = r"[_ .-]"
 _PARTS = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöü])|[A-ZÄÖÜ]?[^\W\d_A-ZÄÖÜ]+|#|\d+")
 
@@ -144,10 +142,38 @@ def split_unit(header: str) -> tuple[str, str]:
     Args:
         header: The header.
     """
-    match = _BRACKETED.fullmatch(header) or _SEPARATED.fullmatch(header)
-    if match is None or (match.re is _SEPARATED and channel_of_unit(match["unit"]) is None):
-        return header.strip(), ""
-    return match["name"].strip(), match["unit"].strip()
+    text = header.strip()
+    if bracketed := _split_brackets(text):
+        return bracketed
+    separated = _split_separator(text)
+    return separated if separated and channel_of_unit(separated[1]) else (text, "")
+
+
+def _split_brackets(text: str) -> tuple[str, str] | None:
+    """Return the text before the last brackets, and the text in them; ``None`` where it does not end with any."""
+    if not text.endswith(tuple(_CLOSING)):
+        return None
+    after_others = max(text.rfind(bracket, 0, -1) for bracket in _CLOSING) + 1
+    places = [text.find(bracket, after_others) for bracket in _OPENING]
+    at = min((place for place in places if place >= 0), default=None)
+    return None if at is None else (text[:at].strip(), text[at + 1 : -1].strip())
+
+
+def _split_separator(text: str) -> tuple[str, str] | None:
+    """Return the text before the last slash with white space, comma or in, and the word after it; ``None`` without."""
+    unit = re.split(r"[\s,/]", text)[-1]
+    before = text[: len(text) - len(unit)]
+    head = before.rstrip()
+    has_space = head != before
+    name = head[:-1]
+    if head.endswith("/"):
+        is_split = has_space or name != name.rstrip()
+    elif head.endswith("in"):
+        name = head[:-2]
+        is_split = has_space and name != name.rstrip()
+    else:
+        is_split = head.endswith(",")
+    return (name.strip(), unit) if is_split and unit and name.strip() else None
 
 
 def _words_of(name: str) -> list[str]:
@@ -192,8 +218,7 @@ def is_own_header(header: str, channel: str, source: ChannelMap) -> bool:
         channel: The channel.
         source: Unit and scale.
     """
-    match = _OWN_HEADER.fullmatch(header)
-    if match is None or source.is_scaled or source.any_scale:
+    if source.is_scaled or source.any_scale:
         return False
-    unit = (match["unit"] or "1").strip()
-    return match["name"] == channel and unit == source.unit
+    name, unit = name_and_unit(header)
+    return name == channel and (unit or "1").strip() == source.unit

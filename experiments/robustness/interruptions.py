@@ -1,6 +1,6 @@
 """Commands that are interrupted and killed at random moments: earlier results stay whole, and no half folder is left.
 
-    python experiments/speed/interruptions.py [--quick] [--json FILE] [--out DIR]
+    python experiments/robustness/interruptions.py [--quick] [--json FILE] [--out DIR]
 
 fit, diagnose, compare, tune and sweep run once undisturbed. Then each runs again into the folder of that result, and at
 a random moment it gets SIGINT (Ctrl-C), SIGINT twice, or SIGKILL. Afterwards the folder has to be the earlier result,
