@@ -1,12 +1,13 @@
 """Commands that are interrupted and killed at random moments: earlier results stay whole, and no half folder is left.
 
-    python experiments/robustness/interruptions.py [--quick] [--json FILE] [--out DIR]
+    python experiments/robustness/interruptions.py [--quick] [--json FILE] [--record] [--out DIR] [--commands A,B]
 
 fit, diagnose, compare, tune and sweep run once undisturbed. Then each runs again into the folder of that result, and at
 a random moment it gets SIGINT (Ctrl-C), SIGINT twice, or SIGKILL. Afterwards the folder has to be the earlier result,
 byte for byte, or a complete new one; nothing else may be next to it but what the next run removes or resumes. Ctrl-C
 has to end with the exit code 130 (or that of the complete result) and one sentence, a second one at once. Each sweep is
-resumed at the end, and its table has to be that of the undisturbed one, byte for byte.
+resumed at the end, and its table has to be that of the undisturbed one, byte for byte. With ``--out DIR`` a command
+that is done is not done again.
 """
 
 import contextlib
@@ -25,7 +26,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import ROOT, Row, arguments, finish, say
+from experiments.common.base import ROOT, Row, add_case, arguments, finish, read_cases, say
 
 COMMANDS = {
     "fit": ["fit", "example.toml", "train.csv", "--holdout", "holdout.csv"],
@@ -41,6 +42,7 @@ ROWS = 240
 # Seconds after which a run that does not end is a fault, on a busy machine.
 LONGEST = 900.0
 WAYS = ("ctrl-c", "kill", "ctrl-c twice", "kill")
+ENDED = "ended before"
 
 
 def start(folder: Path, words: list[str], out: str, *options: str) -> subprocess.Popen:
@@ -87,7 +89,7 @@ def interrupt(folder: Path, command: str, way: str, span: float) -> dict[str, ob
     """
     before, names = content(folder / "out"), set(os.listdir(folder))
     process = start(folder, COMMANDS[command], "out", *(("--resume",) if (folder / "out.partial").exists() else ()))
-    moment = random.uniform(0.0, 1.05) * span
+    moment = random.uniform(0.0, 1.0) * span
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=moment)
     alive = process.poll() is None
@@ -130,7 +132,7 @@ def interrupt(folder: Path, command: str, way: str, span: float) -> dict[str, ob
     say(f"{command} {way} at {moment:.1f} s: code {process.returncode}, {seconds:.1f} s, {found or 'good'}")
     if found:
         say(errors[-2000:])
-    return {"way": way if alive else "ended before", "problems": found, "hidden": len(hidden), "seconds": seconds}
+    return {"way": way if alive else ENDED, "problems": found, "hidden": len(hidden), "seconds": seconds}
 
 
 def interrupt_command(folder: Path, command: str, count: int) -> tuple[list[dict[str, object]], bool]:
@@ -139,7 +141,7 @@ def interrupt_command(folder: Path, command: str, count: int) -> tuple[list[dict
     Args:
         folder: Folder of its files.
         command: Name of the command.
-        count: How often.
+        count: How often a run is interrupted; those that end before do not count.
     """
     begin = time.perf_counter()
     start(folder, COMMANDS[command], "out").communicate()
@@ -150,7 +152,9 @@ def interrupt_command(folder: Path, command: str, count: int) -> tuple[list[dict
     whole, again = content(folder / "out"), content(folder / "again")
     assert is_complete(whole) and is_complete(again), command
     shutil.rmtree(folder / "again")
-    found = [interrupt(folder, command, WAYS[k % len(WAYS)], span) for k in range(count)]
+    found: list[dict[str, object]] = []
+    while sum(entry["way"] != ENDED for entry in found) < count:
+        found.append(interrupt(folder, command, WAYS[len(found) % len(WAYS)], span))
     same = True
     if command == "sweep":
         resume = ["--resume"] if (folder / "out.partial").exists() else []
@@ -178,24 +182,52 @@ def write_files(folder: Path) -> None:
     sweep.write_text(text.partition("[refine]")[0], "utf-8")
 
 
+def examine(command: str, count: int) -> dict:
+    """Interrupt a command in a folder of its own, and return what was found.
+
+    Args:
+        command: Name of the command.
+        count: How often.
+    """
+    random.seed(command)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_files(folder)
+        found, same = interrupt_command(folder, command, count)
+    ways = Counter(str(entry["way"]) for entry in found)
+    problems = Counter(problem for entry in found for problem in entry["problems"])  # type: ignore[attr-defined]
+    return {"command": command, "ways": dict(ways), "problems": dict(problems), "same": same}
+
+
+def rows_of(case: dict) -> list[Row]:
+    """Return the lines of a command.
+
+    Args:
+        case: What was found, as ``examine`` returns it.
+    """
+    ways = case["ways"]
+    count = sum(ways.values()) - ways.get(ENDED, 0)
+    text = f"{case['problems'] or 'none'} ({', '.join(f'{number} {way}' for way, number in sorted(ways.items()))})"
+    rows = [Row(f"{case['command']}: problems of {count} interruptions", "none", text, not case["problems"], ways)]
+    if case["command"] == "sweep":
+        text = "the same" if case["same"] else "others"
+        rows.append(Row("sweep: the resumed table against the undisturbed one's", "the same bytes", text, case["same"]))
+    return rows
+
+
 def main() -> None:
     """Print the table."""
-    args = arguments(__doc__ or "")
+    choice = {"help": "commands, with commas", "default": ",".join(COMMANDS), "metavar": "A,B"}
+    args = arguments(__doc__, more={"--commands": choice})
     count = 4 if args.quick else 20
-    random.seed(0)
-    rows = []
-    for command in COMMANDS:
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            write_files(folder)
-            found, same = interrupt_command(folder, command, count)
-        ways = Counter(str(entry["way"]) for entry in found)
-        problems = Counter(problem for entry in found for problem in entry["problems"])  # type: ignore[attr-defined]
-        text = f"{dict(problems) or 'none'} ({', '.join(f'{n} {way}' for way, n in ways.items())})"
-        rows.append(Row(f"{command}: problems of {count} interruptions", "none", text, not problems, dict(ways)))
-        if command == "sweep":
-            rows.append(Row("the resumed table", "the same bytes", "the same" if same else "others", same))
-    finish(rows, args, interruptions=count * len(COMMANDS))
+    done = {case["command"]: case for case in read_cases(args.out)}
+    resumed = bool(done)
+    for command in args.commands.split(","):
+        if command not in done:
+            done[command] = examine(command, count)
+            add_case(args.out, done[command])
+    cases = [done[command] for command in args.commands.split(",")]
+    finish([row for case in cases for row in rows_of(case)], args, resumed=resumed)
 
 
 if __name__ == "__main__":

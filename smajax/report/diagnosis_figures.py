@@ -41,7 +41,7 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
         data.append(
             go.Scatter(
                 mode="lines+markers",
-                name=name,
+                name=escape(name),
                 x=list(range(1, len(entry["autocorrelation"]) + 1)),
                 y=entry["autocorrelation"],
                 line={"color": colour},

@@ -25,7 +25,7 @@ from smajax.units import from_si, to_si
 _MODEL_SUFFIX = "_model"
 _HEADER = re.compile(r"(?P<name>[^\[\]]+?) \[(?P<unit>[^\[\]]*)\]")
 # Name of a series that is one of several for a recording; neither models nor fits have brackets in their names.
-_LABEL = re.compile(r"(?P<recording>.*) \((?P<variant>[^()]*)\)")
+_LABEL = re.compile(r"(?P<recording>.*) \((?P<variant>[^()]*)\)", re.DOTALL)
 # Channels of the model that are in the table even if they were not recorded.
 _INTERNAL_CHANNELS = ("temperature", "stress", "strain")
 # Rows whose cells are made at a time: as text a row takes a kilobyte, so that a million of them would take a gigabyte.

@@ -2,6 +2,10 @@
 
 from typing import Any
 
+import numpy as np
+
+from smajax.report.prediction import make_series
+
 HASH = "ab" * 32
 
 
@@ -293,3 +297,32 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "properties": PROPERTIES,
     "simulate": SIMULATION,
 }
+
+
+def example_series(command: str) -> Any:
+    """Return the predictions that a command writes next to its document; of a sweep the columns of its table."""
+    if command == "sweep":
+        stroke = np.array([1e-3, 2e-3, 1.5e-3])
+        columns = {
+            "stroke": stroke,
+            "cycles": np.array([10.0, np.inf, 30.0]),
+            "material.max_transformation_strain": np.array([0.03, 0.05, 0.04]),
+        }
+        return columns | {"design": np.arange(3), "code": np.array(["done"] * 3)}
+    names = {
+        "fit": ("train.csv",),
+        "diagnose": ("holdout.csv (before)", "holdout.csv (after)"),
+        "compare": ("holdout.csv (brinson)",),
+        "tune": ("start gains", "tuned gains"),
+        "properties": ("cycles.csv",),
+        "simulate": ("input.csv",),
+    }[command]
+    time = np.arange(50) * 0.02
+    measured = {"displacement": 1e-3 * time} | ({"current": time} if command != "tune" else {})
+    if command == "properties":
+        measured = {"temperature": 80.0 * time, "strain": 0.04 * time}
+    return [
+        make_series(name, role, time, measured, {"displacement": 1.1e-3 * time}, {"time": "s"}, has_clock=True)
+        for name in names
+        for role in (("train", "holdout") if command == "compare" else ("holdout",))
+    ]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import jsonschema
-import numpy as np
 import pydantic
 import pytest
 
@@ -17,13 +16,13 @@ from smajax.report.documents import DOCUMENTS, ControllerDocument, FitDocument, 
 from smajax.report.documents.diagnosis import RejectionCode as DocumentedCode
 from smajax.report.documents.schemas import schemas, write_schemas
 from smajax.report.documents.write import write_result
-from smajax.report.prediction import make_series, write_predictions
+from smajax.report.prediction import write_predictions
 from smajax.report.rebuild import rebuild_report
 from smajax.report.result_figures import FIGURES
 from smajax.report.summaries import summarise
 from smajax.sweeps.table import write_table
 from tests.conftest import ROOT
-from tests.unit.report.example_documents import CONTROLLER, EXAMPLES, FIT, SIMULATION, run
+from tests.unit.report.example_documents import CONTROLLER, EXAMPLES, FIT, SIMULATION, example_series, run
 
 _OLD_NAME, _NAME = "material.max_strain", "material.max_transformation_strain"
 
@@ -194,31 +193,6 @@ def test_the_summary_needs_the_document_only(command):
     assert text and "out" not in text.splitlines()[-1].split()
     in_folder = summarise(command, EXAMPLES[command], "out")
     assert in_folder.startswith(text.splitlines()[0]) and in_folder.rstrip().endswith("out")
-
-
-def example_series(command: str) -> Any:
-    """The predictions that a command writes beside its document."""
-    if command == "sweep":
-        stroke = np.array([1e-3, 2e-3, 1.5e-3])
-        columns = {"stroke": stroke, "cycles": np.array([10.0, np.inf, 30.0]), _NAME: np.array([0.03, 0.05, 0.04])}
-        return columns | {"design": np.arange(3), "code": np.array(["done"] * 3)}
-    names = {
-        "fit": ("train.csv",),
-        "diagnose": ("holdout.csv (before)", "holdout.csv (after)"),
-        "compare": ("holdout.csv (brinson)",),
-        "tune": ("start gains", "tuned gains"),
-        "properties": ("cycles.csv",),
-        "simulate": ("input.csv",),
-    }[command]
-    time = np.arange(50) * 0.02
-    measured = {"displacement": 1e-3 * time} | ({"current": time} if command != "tune" else {})
-    if command == "properties":
-        measured = {"temperature": 80.0 * time, "strain": 0.04 * time}
-    return [
-        make_series(name, role, time, measured, {"displacement": 1.1e-3 * time}, {"time": "s"}, has_clock=True)
-        for name in names
-        for role in (("train", "holdout") if command == "compare" else ("holdout",))
-    ]
 
 
 @pytest.mark.parametrize("command", EXAMPLES)
