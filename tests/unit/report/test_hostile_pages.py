@@ -13,7 +13,7 @@ from typing import Any
 import plotly.offline
 import pytest
 
-from smajax.report.rebuild import PAGES
+from smajax.report.rebuild import build_page
 from tests.unit.report.example_documents import EXAMPLES, example_series, run
 
 ATTACK, MARK = "document.documentElement.dataset.broken=1", "data-broken"
@@ -94,7 +94,7 @@ def page_of(command: str, text: str, chosen: list[Place]) -> str:
     data: Any = example_series(command)
     if command not in ("sweep", "tune"):  # whose series have no names of files
         data = [dataclasses.replace(recording, name=text + recording.name) for recording in data]
-    return PAGES[command](document["document"], data, document["run"], f"[rig] {text}")
+    return build_page(command, document["document"], data, document["run"], f"[rig] {text}")
 
 
 @pytest.fixture(scope="module")
