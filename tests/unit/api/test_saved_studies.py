@@ -1,6 +1,7 @@
 """Diagnoses and tuning studies: saved and loaded again, and saved by the command as from Python."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -102,8 +103,10 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
         "tune": ["rig.toml", "controller.toml"],
     }[command]
     monkeypatch.chdir(tmp_path)
-    for name in ("rig.toml", "fit.toml", "controller.toml", "a.csv", "b.csv", "c.csv"):
-        (tmp_path / name).write_text("schema = 1\n", encoding="utf-8")
+    for name, file in {"rig.toml": RIG, "fit.toml": RIG, "controller.toml": CONTROLLER}.items():
+        shutil.copy(file, tmp_path / name)
+    for name in ("a.csv", "b.csv", "c.csv"):
+        shutil.copy(RIG.with_name("train.csv"), tmp_path / name)
     out = tmp_path / "command"
     result = CliRunner().invoke(app, [command, *words, "--seed", "3", "--out", str(out), "--json"])
     assert result.exit_code == study.exit_code, result.output

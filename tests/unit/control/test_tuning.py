@@ -985,9 +985,8 @@ def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change):
     assert text != FILE
     done = run(tmp_path, text)
     output = " ".join(done.output.split())
-    assert done.exit_code == 2 and BAD[change] in output and output.count("smajax: ") == 3, (
-        done.output
-    )  # two phases, and the sentence
+    # The sentence, after two phases or, where it needs no JAX, at once.
+    assert done.exit_code == 2 and BAD[change] in output and output.count("smajax: ") in (1, 3), done.output
     assert not (tmp_path / "out").exists()
 
 
