@@ -82,6 +82,9 @@ def recognise(path: Path, answers: Mapping[str, str], changes: Mapping[str, Any]
     headers = tables[0].headers
     if not headers:
         raise InputError(f"{path}: there are no columns: record a time and the channels of the rig")
+    if any(len(table.headers) != len(headers) for table in tables):
+        counts = " and ".join(dict.fromkeys(f"{len(table.headers)}" for table in tables))
+        raise InputError(f"{path}: its tables have {counts} columns: save each table as a file of its own")
     check_headers(answers, headers, path)
     parts = [load_columns(table) for table in tables]
     values = {k: np.concatenate([part[k] for part in parts]) for k in range(len(headers))}

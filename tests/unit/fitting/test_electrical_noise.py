@@ -221,4 +221,4 @@ def test_input_noise_of_a_rig_without_electrical_input_is_refused():
     isobaric = read_rig(ROOT / "data" / "recordings" / "isobaric" / "rig.toml")
     with pytest.raises(InputError, match="has no electrical input"):
         read_input_noise("1 mA", isobaric.plant.drive.control, "fit.input_noise")
-    assert find_input_noise(isobaric.plant.drive.control, [], isobaric.fit) == ()
+    assert find_input_noise(isobaric.plant, [], isobaric.fit) == ()
