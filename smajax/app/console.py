@@ -16,6 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from smajax.app.interrupt_watch import InterruptWatch
 from smajax.app.loading import raise_on_interrupt
 from smajax.errors import Cancelled, InputError, NumericsError, printable_sentence
 from smajax.progress import Progress, ProgressEvent
@@ -57,6 +58,7 @@ class CommandProgress:
         self._display = display
         self._previous: Any = None
         self._handling = self._requested = self._has_result = self._can_stop = self._raised = False
+        self._watch = InterruptWatch(self._end)
         self.interrupted: bool = False
 
     def __enter__(self) -> "CommandProgress":
@@ -95,9 +97,11 @@ class CommandProgress:
     def _handle(self) -> None:
         if not self._handling and threading.current_thread() is threading.main_thread():
             self._previous, self._handling = signal.signal(signal.SIGINT, self._on_interrupt), True
+            self._watch.start()
 
     def _restore(self) -> None:
         if self._handling:
+            self._watch.stop()
             signal.signal(signal.SIGINT, self._previous)
         self._handling = self._requested = False
 
@@ -106,9 +110,7 @@ class CommandProgress:
             self._raised = True
             raise KeyboardInterrupt
         if self._raised or self.interrupted or (self._requested and not self._has_result):
-            self._display.close()
-            _print_error("interrupted; nothing was written")
-            os._exit(Cancelled.exit_code)
+            self._watch.end()
         if self._has_result:
             self.interrupted = True
             self._display.phase("writing the results; press Ctrl-C again to stop at once, without them")
@@ -117,6 +119,12 @@ class CommandProgress:
         self._display.phase(
             "stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once"
         )
+
+    def _end(self) -> None:
+        """End the process at once."""
+        self._display.close()
+        _print_error("interrupted; nothing was written")
+        os._exit(Cancelled.exit_code)
 
 
 def exit_code(error: BaseException) -> int:

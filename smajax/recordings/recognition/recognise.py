@@ -75,17 +75,19 @@ def recognise(path: Path, answers: Mapping[str, str], changes: Mapping[str, Any]
         changes: Options of ``ReadOptions`` by name, which stay as they are.
 
     Raises:
-        InputError: If the file cannot be read as a table, no column is recognised, or an answer or option is wrong.
+        InputError: If the file cannot be read as a table, its sheets have different columns, no column is recognised,
+            or an answer or option is wrong.
     """
     layout = recognise_layout(path, changes)
     tables = open_tables(path, layout.options)
     headers = tables[0].headers
     if not headers:
         raise InputError(f"{path}: there are no columns: record a time and the channels of the rig")
-    if any(len(table.headers) != len(headers) for table in tables):
-        counts = " and ".join(dict.fromkeys(f"{len(table.headers)}" for table in tables))
-        raise InputError(f"{path}: its tables have {counts} columns: save each table as a file of its own")
     check_headers(answers, headers, path)
+    for table in tables[1:]:
+        if table.headers != headers:
+            problem = f"{table.label_kind} '{table.label}' has other columns than '{tables[0].label}'"
+            raise InputError(f"{path}: {problem}: import them one by one, each named by --sheet")
     parts = [load_columns(table) for table in tables]
     values = {k: np.concatenate([part[k] for part in parts]) for k in range(len(headers))}
     choices = [choose_column(k, header, values[k], answers.get(header)) for k, header in enumerate(headers)]

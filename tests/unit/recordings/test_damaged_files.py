@@ -130,6 +130,19 @@ def test_a_missing_sheet_among_others_is_named():
     assert "there is no part for its sheet 'run 2'" in refused("wire.xlsx", content, sheet="all")
 
 
+def test_sheets_with_different_columns_are_imported_one_by_one():
+    def change(parts: dict[str, bytes]) -> None:
+        parts["xl/worksheets/sheet2.xml"] = re.sub(
+            rb'<c r="C\d+".*?</c>', b"", parts["xl/worksheets/sheet2.xml"], flags=re.DOTALL
+        )
+
+    Path("wire.xlsx").write_bytes(changed_workbook(change, SAMPLES["xlsx"][1]))
+    sentence = "wire.xlsx: sheet 'run 2' has other columns than 'run 1': import them one by one, each named by --sheet"
+    with pytest.raises(InputError, match=sentence):
+        recognise(Path("wire.xlsx"), {}, {"sheet": ("all",)})
+    assert len(recognise(Path("wire.xlsx"), {}, {"sheet": ("run 2",)}).columns) == 2
+
+
 def test_a_part_that_states_a_huge_size_is_refused_before_it_is_unpacked():
     content = bytearray(changed_workbook(lambda parts: None))
     directory = content.index(b"PK\1\2")

@@ -306,18 +306,6 @@ def test_sheets_of_one_layout_are_read_and_others_named(tmp_path):
     assert "'Summary' left out" in recognition.findings[0].reason
 
 
-def test_sheets_of_other_numbers_of_columns_are_refused(tmp_path):
-    book = openpyxl.Workbook()
-    for row in [("time [s]", "current [A]", "temperature [degC]"), *((t, 0.1, 24 + t) for t in TIMES)]:
-        book.active.append(row)
-    other = book.create_sheet("Other")
-    for row in [("time [s]", "current [A]"), *((t, 0.1) for t in TIMES)]:
-        other.append(row)
-    book.save(tmp_path / "runs.xlsx")
-    with pytest.raises(InputError, match="runs.xlsx: its tables have 3 and 2 columns: save each table as a file"):
-        recognise(tmp_path / "runs.xlsx", {}, {"sheet": ("all",)})
-
-
 def test_a_file_without_names_is_asked_about_column_by_column(tmp_path):
     path = tmp_path / "cycle.txt"
     path.write_text("".join(f"{24 + t}\t{0.04 - t / 1000}\n" for t in TIMES))

@@ -1,0 +1,61 @@
+"""The second Ctrl-C during a call of another library, such as a compilation, which Python would take for the first.
+
+Python's handler of a signal runs after the call, once for all signals until then. For each signal Python writes a byte
+to a file at once, however, and a thread that reads them knows of the second one.
+"""
+
+import contextlib
+import signal
+import socket
+import threading
+from collections.abc import Callable
+
+# Number of the signal that ends the process.
+_SECOND = 2
+# Bytes that are read at a time, one for each signal.
+_BYTES = 16
+
+
+class InterruptWatch:
+    """Calls a function at the second Ctrl-C after ``start``, from a thread, and not more than once."""
+
+    def __init__(self, function: Callable[[], object]):
+        """Watch nothing before ``start``.
+
+        Args:
+            function: What ends the process.
+        """
+        self._function = function
+        self._once = threading.Lock()
+        self._writer: socket.socket | None = None
+        self._previous = -1
+
+    def start(self) -> None:
+        """Count from 0; to be called from the main thread. Without a socket of this machine nothing is watched."""
+        with contextlib.suppress(OSError, RuntimeError):  # no socket, no thread
+            reader, writer = socket.socketpair()
+            writer.setblocking(False)
+            threading.Thread(target=self._read, args=(reader,), daemon=True, name="smajax-interrupts").start()
+            self._previous = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+            self._writer = writer
+
+    def stop(self) -> None:
+        """Watch no longer; to be called from the main thread."""
+        if self._writer is not None:
+            signal.set_wakeup_fd(self._previous)
+            self._writer.close()
+            self._writer = None
+
+    def end(self) -> None:
+        """Call the function, unless it was called before."""
+        if self._once.acquire(blocking=False):
+            self._function()
+
+    def _read(self, reader: socket.socket) -> None:
+        count = 0
+        with reader:
+            while content := reader.recv(_BYTES):
+                count += content.count(signal.SIGINT)
+                if count >= _SECOND:
+                    self.end()
+                    return
