@@ -13,6 +13,8 @@ SHARED = ROOT.parent / "shared"
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
 os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".jax_cache" / "numba"))
+# Tests replace functions while they run, which a stored program would not notice.
+os.environ.setdefault("SMAJAX_STORED_PROGRAMS", "off")
 prepare_jax()
 
 import jax  # noqa: E402

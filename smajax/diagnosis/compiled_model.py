@@ -34,7 +34,7 @@ from smajax.diagnosis.nonparametric import KINDS, KNOTS, VARIABLES, set_terms
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.simulation.sensitivities import Trajectory
 
 # Number of effect parameters that the usual programs can free: three effects with a strength and a shape each. More
@@ -176,14 +176,14 @@ def _simulate(vector: Float[Array, " p"], model: SlottedModel) -> Simulated:
 
 
 # The program without derivatives.
-simulate: Callable[[jax.Array, SlottedModel], Simulated] = jit_with_kernels(
+simulate: Callable[[jax.Array, SlottedModel], Simulated] = stored(
     _simulate,
     compiler_options=LARGE_PROGRAM_OPTIONS,
 )
 
 
 # The program that checks what is reported.
-statuses: Callable[[jax.Array, SlottedModel, Trajectory], Int[Array, " r"]] = jit_with_kernels(
+statuses: Callable[[jax.Array, SlottedModel, Trajectory], Int[Array, " r"]] = stored(
     lambda vector, model, trajectories: model.statuses(vector, trajectories)
 )
 

@@ -26,7 +26,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.unknowns import Settings
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
@@ -41,7 +41,7 @@ _STEPS_ON_ALL_SAMPLES = 8
 # the rig's values. Chosen by trial.
 _ANCHOR_STEPS = 15
 
-_states = jit_with_kernels(simulate_states)
+_states = stored(simulate_states)
 
 
 class DiagnosisProblem(GriddedSplits):

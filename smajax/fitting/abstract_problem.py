@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from smajax.fitting.compilation import SEARCH_OPTIONS, vmap_unless_single
 from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.parameters import CheckedModule
 
 
@@ -67,7 +68,7 @@ compiled_residual: Callable[[Float[Array, " p"], AbstractFitProblem], Float[Arra
 """``residual``, compiled with the options of the searches' programs."""
 
 
-@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
+@functools.partial(stored, compiler_options=SEARCH_OPTIONS)
 def costs(problem: AbstractFitProblem, vectors: Float[Array, "m p"]) -> Float[Array, " m"]:
     """Compute the sums of squares of the residual at several vectors, as one batch.
 

@@ -17,7 +17,7 @@ import numpy as np
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, SEARCH_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.progress import CallbackStop, stoppable
 
 # Least number of random points that are simulated to choose starts from. Chosen by trial on fits of rigs;
@@ -261,7 +261,7 @@ class MultiStartSolver:
         return self._solver, self._fn, self._points, self._states, self._bounds, args, self._sequential
 
 
-@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
+@functools.partial(stored, compiler_options=SEARCH_OPTIONS)
 def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
     struct = jax.ShapeDtypeStruct((size,), jnp.float64)
     return jax.vmap(lambda y: solver.init(lambda y, args: (y, None), y, None, {}, struct, None, frozenset()))(points)
@@ -295,14 +295,11 @@ def _step_all(
     return vmap_unless_single(batched, points.shape[0], points, states, bounds)
 
 
-_step_starts = jit_with_kernels(_step_all, compiler_options=SEARCH_OPTIONS)
-_step_starts_large = jit_with_kernels(
-    _step_all,
-    compiler_options=LARGE_PROGRAM_OPTIONS,
-)
+_step_starts = stored(_step_all, compiler_options=SEARCH_OPTIONS)
+_step_starts_large = stored(_step_all, compiler_options=LARGE_PROGRAM_OPTIONS)
 
 
-@jit_with_kernels
+@stored
 def linearise(fn: Callable[[jax.Array, Any], jax.Array], vector: jax.Array, args: Any) -> tuple[jax.Array, jax.Array]:
     """Compute Jacobian and residual at a vector.
 

@@ -29,7 +29,7 @@ from smajax.fitting.electrical_noise import InputNoise, NoiseKind, with_share
 from smajax.fitting.intervals import score_covariance, student_quantile
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.recordings.recording import Recording
 from smajax.simulation.status import SimulationStatus
 
@@ -234,7 +234,7 @@ def _input_changes(
     return before, after, samples
 
 
-@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
+@functools.partial(stored, compiler_options=SEARCH_OPTIONS)
 def _changed_residuals(
     problem: Problem,
     vector: Float[Array, " p"],

@@ -8,6 +8,8 @@ from pathlib import Path
 # Objects allocated before the garbage collector runs (Python's default is 700 to 2000). Serialising a compiled program
 # allocates many small objects, none of which is garbage. Chosen by trial.
 _GARBAGE_THRESHOLD = 200_000
+STORED_PROGRAMS = "SMAJAX_STORED_PROGRAMS"
+"""Environment variable: whether traced programs are kept between processes, ``on`` or ``off``."""
 
 
 def prepare_jax(accelerator: bool = False) -> None:
@@ -15,8 +17,9 @@ def prepare_jax(accelerator: bool = False) -> None:
 
     Importing smajax only switches JAX to double precision, unless ``JAX_ENABLE_X64`` is set; here it is switched on in
     any case. The rest makes programs faster and changes no result; from Python call it before anything is compiled.
-    Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no
-    folder can be written, nothing is cached, and everything else works. A GPU is many times as slow for a few
+    Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``, and so are
+    traced ones, unless ``SMAJAX_STORED_PROGRAMS`` is ``off``. If no folder can be written, nothing is cached, and
+    everything else works. A GPU is many times as slow for a few
     simulations at a time, and faster for thousands of designs in parallel. Equinox's run-time checks are switched off:
     they call Python from the compiled program, which then cannot be cached. smajax's simulations have status codes
     instead. Where equinox was imported before, its checks stay; where JAX has compiled something before, its compiler
@@ -43,6 +46,7 @@ def prepare_jax(accelerator: bool = False) -> None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    os.environ.setdefault(STORED_PROGRAMS, "on")
 
 
 def count_cores() -> int:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from smajax.errors import InputError
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
@@ -103,7 +103,7 @@ def rows_of(recording: Recording, first: int, last: int) -> Recording:
     return dataclasses.replace(recording, time=time, channels=channels)
 
 
-@jit_with_kernels
+@stored
 def _starts(plant: Plant, inputs: Inputs) -> State:
     """States from which the plant would start at each sample."""
     return jax.vmap(plant.init)(inputs.sample_signals)

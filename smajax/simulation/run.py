@@ -20,6 +20,7 @@ from smajax.arguments import check_type
 from smajax.errors import InputError, NumericsError
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.precision import require_double
+from smajax.numerics.stored_programs import stored
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
@@ -163,7 +164,7 @@ def simulate_channels(
     return {c: read[c] for c in channels}, status
 
 
-@jit_with_kernels
+@stored
 def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
     """Simulate a plant under inputs on a grid; compiled once per numbers of grid points and samples.
 
@@ -286,7 +287,7 @@ def _is_zero(strength: Float[Array, "..."]) -> bool:
     return not isinstance(strength, Tracer) and float(strength) == 0.0
 
 
-@functools.partial(jit_with_kernels, compiler_options=_BATCH_OPTIONS)
+@functools.partial(stored, compiler_options=_BATCH_OPTIONS)
 def simulate_batch(
     plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]
 ) -> tuple[dict[str, Float[Array, "plants samples"]], Int[Array, " plants"]]:

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics.jax_setup import EMITTER_OPTIONS
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.process import count_cores
+from smajax.numerics.stored_programs import stored
 from smajax.sweeps.problem import AbstractSweepProblem
 
 # Number of designs in a batch on an accelerator: with fewer it is idle between steps, and more do not fit into its
@@ -59,10 +59,8 @@ def _differentiate_batch(
 
 
 # The emitters change the rounding of a batch: with the same ones commands and library give the same digits.
-evaluate_batch: Any = jit_with_kernels(
-    _evaluate_batch, compiler_options={**EMITTER_OPTIONS, "xla_cpu_prefer_vector_width": 512}
-)
-differentiate_batch: Any = jit_with_kernels(_differentiate_batch, compiler_options=EMITTER_OPTIONS)
+evaluate_batch: Any = stored(_evaluate_batch, compiler_options={**EMITTER_OPTIONS, "xla_cpu_prefer_vector_width": 512})
+differentiate_batch: Any = stored(_differentiate_batch, compiler_options=EMITTER_OPTIONS)
 
 
 def on_accelerator() -> bool:

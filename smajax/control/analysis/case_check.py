@@ -23,7 +23,7 @@ from smajax.control.analysis.members import members_at_rest, rollout_members
 from smajax.control.analysis.step_response import StepResponse
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.rollout import Rollout
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 
 # Number of cases in one call of the compiled program; chosen by trial for speed.
 BATCH = 32
@@ -151,8 +151,8 @@ def _simulate_batch(task: ControlTask, tuned: Mapping[str, float], batch: Sequen
     return _simulate(task.system, task.loop, task.scenario, plants, noise, values, first)
 
 
-_simulate = jit_with_kernels(rollout_members)
-_at_rest = jit_with_kernels(members_at_rest)
+_simulate = stored(rollout_members)
+_at_rest = stored(members_at_rest)
 
 
 def excess_of_limits(limits: Mapping[str, float], check: CaseCheck) -> dict[str, float]:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario, rollout_with_solutions
 from smajax.control.sampled_plant import AbstractSampledSystem
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 
 # Number of frequencies, evenly spaced on a logarithmic axis from a tenth of a cycle over the whole rollout to the
 # Nyquist frequency, and the lowest one times the rollout's duration over pi. Chosen by trial;
@@ -86,14 +86,14 @@ def has_usual_margins(margins: Margins) -> bool:
     return margins.gain >= usual.gain and margins.phase >= usual.phase and margins.sensitivity <= usual.sensitivity
 
 
-@jit_with_kernels
+@stored
 def _carries(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[jax.Array, jax.Array]:
     """States before each sample of a rollout, flattened, and commands."""
     result, (carries, _) = rollout_with_solutions(system, loop, scenario)
     return carries, result.command
 
 
-@jit_with_kernels
+@stored
 def _loop_gain(
     system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, reference: jax.Array, draw: jax.Array, z: jax.Array
 ) -> jax.Array:
@@ -200,7 +200,7 @@ def worst_margins(margins: Sequence[Margins]) -> Margins:
     return Margins(min(gain), min(phase), max(sensitivity))
 
 
-@jit_with_kernels
+@stored
 def _loop_gains(
     system: AbstractSampledSystem,
     loop: ClosedLoop,

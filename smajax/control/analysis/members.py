@@ -12,7 +12,7 @@ from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
 from smajax.control.loop.rollout import Rollout, Scenario, rollout_with_solutions, simulate_loop, states_at_rest
 from smajax.control.sampled_plant import AbstractSampledSystem
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 
 
 def rollout_members(
@@ -116,7 +116,7 @@ def simulate_members(
     )
 
 
-@jit_with_kernels
+@stored
 def _simulate(
     system: AbstractSampledSystem,
     loop: ClosedLoop,

@@ -32,8 +32,8 @@ from smajax.control.sampling_period import check_same_period
 from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.precision import require_double
+from smajax.numerics.stored_programs import stored
 from smajax.plant.plant import Plant
 from smajax.simulation.argument_checks import A_PLANT, as_array, check_plant
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
@@ -298,7 +298,7 @@ def _sample(
     return (state, loop_state, command), (channels, command, extra)
 
 
-_compiled_simulation = jit_with_kernels(simulate_loop)
+_compiled_simulation = stored(simulate_loop)
 
 
 @eqx.filter_custom_jvp

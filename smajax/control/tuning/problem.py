@@ -24,7 +24,7 @@ from smajax.control.sampled_plant import AbstractSampledSystem
 from smajax.control.sampling_period import check_same_period
 from smajax.control.tuning.objective import Objective, ObjectiveTerms, ReferenceSignal, evaluate_objective
 from smajax.errors import InputError
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 
 # Number of noise draws that gains are tuned for, so that they do not overfit a single one. Chosen by
 # experiments/papers/rotary/rotary_tracking.py.
@@ -235,7 +235,7 @@ def has_noise(loop: ClosedLoop) -> bool:
     return any(float(sensor.noise) > 0.0 for sensor in (loop.sensor, *sensors))
 
 
-@jit_with_kernels
+@stored
 def evaluate_points(
     problem: TuningProblem, points: Float[Array, "points gains"], objective: Objective
 ) -> tuple[Float[Array, "points terms"], Float[Array, "points limits"]]:
@@ -272,6 +272,6 @@ def simulate_gains(problem: TuningProblem, gains: Mapping[str, Any]) -> Rollout:
     return _simulate_gains(problem, {name: jnp.asarray(value, jnp.float64) for name, value in gains.items()})
 
 
-@jit_with_kernels
+@stored
 def _simulate_gains(problem: TuningProblem, gains: dict[str, jax.Array]) -> Rollout:
     return problem.simulate(gains)

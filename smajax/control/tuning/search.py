@@ -21,7 +21,7 @@ from smajax.control.tuning.objective import LIMITS, TERMS, Objective, ObjectiveT
 from smajax.control.tuning.problem import TuningProblem, evaluate_points
 from smajax.control.tuning.trust_region import SearchState
 from smajax.errors import NumericsError
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 
 # Number of points that one call of the compiled program evaluates.
 BATCH = 8
@@ -47,7 +47,7 @@ def _cost(evaluated: ObjectiveTerms, objective: Objective, scale: jax.Array) -> 
     return jnp.sum(jnp.mean(jnp.sum(evaluated.terms**2, axis=2), axis=0) * objective.weights / scale)
 
 
-@jit_with_kernels
+@stored
 def _cost_and_gradient(
     problem: TuningProblem, point: jax.Array, objective: Objective, scale: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

@@ -33,7 +33,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.laws import response
 from smajax.laws.base import AbstractInputOutputModel
-from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.stored_programs import stored
 from smajax.progress import CallbackStop, stoppable
 
 # All constants of the search were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py,
@@ -156,7 +156,7 @@ class IOModelFit:
         return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input), evenly_spaced=True))
 
 
-_respond = jit_with_kernels(response.compute_response, compiler_options=SEARCH_OPTIONS)
+_respond = stored(response.compute_response, compiler_options=SEARCH_OPTIONS)
 
 
 class _SearchEnd(NamedTuple):

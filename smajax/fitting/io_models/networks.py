@@ -32,8 +32,8 @@ from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.compilation import SEARCH_OPTIONS
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
 from smajax.fitting.multi_start import MultiStartSolver
-from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.nonsmooth import clip
+from smajax.numerics.stored_programs import stored
 from smajax.progress import CallbackStop, stoppable
 
 # All constants were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py, which holds the
@@ -267,7 +267,7 @@ def divergence_rate(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
     return 1.0 - np.mean(bounded, axis=0)
 
 
-@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
+@functools.partial(stored, compiler_options=SEARCH_OPTIONS)
 def _outputs(problem: IOModelProblem, vectors: jax.Array) -> jax.Array:
     """Outputs at points, shape ``(s, r, n)``."""
     return jax.lax.map(problem.predict, vectors)
@@ -361,7 +361,7 @@ def _distinct_ends(end_costs: list[float]) -> list[int]:
     return chosen[:_MAX_ENDS]
 
 
-@functools.partial(jit_with_kernels, compiler_options=SEARCH_OPTIONS)
+@functools.partial(stored, compiler_options=SEARCH_OPTIONS)
 def _minimise_closed_loop(
     point: jax.Array, ridge_problem: RidgeProblem, bounds: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:

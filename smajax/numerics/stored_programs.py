@@ -1,0 +1,182 @@
+"""Traced programs that are kept between processes, next to JAX's cache of compiled programs.
+
+JAX keeps compiled programs between processes, but a process has to trace Python code to find them, which takes longer
+than all numbers of a fit. ``stored`` keeps what was traced, as StableHLO (``jax.export``), under a key of everything
+that it depends on (``program_keys``): the next process neither traces nor compiles. ``experiments/speed/start_up.py``
+shows what it buys. The programs are the same ones, so that no number changes.
+
+``smajax.numerics.process.prepare_jax`` switches it on for the commands, unless the environment variable
+``SMAJAX_STORED_PROGRAMS`` is ``off``. A process that replaces functions of smajax while it runs has to switch it off.
+"""
+
+import contextlib
+import functools
+import hashlib
+import json
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.export
+
+from smajax.numerics.loop_kernels import jit_with_kernels
+from smajax.numerics.output_trees import UnknownStructureError, decode, encode
+from smajax.numerics.process import STORED_PROGRAMS
+from smajax.numerics.program_keys import NoKeyError, program_key
+
+# Folder in JAX's cache, ending of its files, and the most of them: those that were not used for longest are deleted. A
+# program takes 0.1 to 2 MB.
+_FOLDER, _SUFFIX, _MOST_FILES = "traced", ".program", 256
+# Bytes of the hash and of the length of the structure at the beginning of a file.
+_HASH_BYTES, _LENGTH_BYTES = 32, 8
+
+
+def stored(function: Callable[..., Any], **options: Any) -> "StoredFunction":
+    """Compile a function as ``jit_with_kernels`` does, and keep what was traced between processes.
+
+    Args:
+        function: Function of pytrees, whose results are arrays in tuples, dictionaries, named tuples and modules.
+        options: Options of ``jax.jit``, such as ``compiler_options``.
+    """
+    return StoredFunction(function, options)
+
+
+class StoredFunction:
+    """A function whose traced programs are kept between processes; made by ``stored``."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._function, self._options = function, options
+        self._plain = jit_with_kernels(function, **options)
+        self._inner = jit_with_kernels(function)  # JAX takes compiler options of the outermost program only
+        self._programs: dict[Any, _Program | None] = {}
+        self._lock = threading.RLock()
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the function."""
+        program, arrays = self._program_of((args, kwargs))
+        return self._plain(*args, **kwargs) if program is None else program(arrays)
+
+    def lower(self, *args: Any, **kwargs: Any) -> None:
+        """Trace and lower the program for some arguments, so that it can be compiled in another thread."""
+        program, arrays = self._program_of((args, kwargs))
+        if program is None:
+            self._plain.lower(*args, **kwargs)
+        else:
+            program.lower(arrays)
+
+    def _program_of(self, arguments: Any) -> tuple["_Program | None", list[Any]]:
+        """The stored program for some arguments, ``None`` if there is none, and the arrays among the arguments."""
+        folder = _folder()
+        if folder is None:
+            return None, []
+        leaves, structure = jax.tree.flatten(arguments)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return None, []
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        shapes = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
+        signature = (structure, shapes, folder, jax.config.values["jax_enable_x64"])
+        try:
+            return self._programs[signature], arrays
+        except KeyError:
+            pass
+        except TypeError:  # an argument has no hash
+            return None, []
+        with self._lock:
+            if signature not in self._programs:
+                self._programs[signature] = self._load_or_trace(folder, arguments)
+        return self._programs[signature], arrays
+
+    def _load_or_trace(self, folder: Path, arguments: Any) -> "_Program | None":
+        try:
+            path = folder / (program_key(self._function, self._options, arguments) + _SUFFIX)
+        except NoKeyError:
+            return None
+        with contextlib.suppress(OSError, ValueError):
+            program = _Program(path.read_bytes(), self._options)
+            os.utime(path)
+            return program
+        content = self._traced(arguments)
+        if content is None:
+            return None
+        with contextlib.suppress(OSError):  # a cache that cannot be written is no error
+            _write(path, content)
+        return _Program(content, self._options)
+
+    def _traced(self, arguments: Any) -> bytes | None:
+        """The content of the file of a program; ``None`` if its results cannot be stored."""
+        dynamic, static = eqx.partition(arguments, eqx.is_array)
+        leaves, structure = jax.tree.flatten(dynamic)
+        results = []
+
+        def flat(*arrays: Any) -> list[Any]:
+            args, kwargs = eqx.combine(jax.tree.unflatten(structure, arrays), static)
+            results[:] = [self._inner(*args, **kwargs)]
+            return jax.tree.leaves(eqx.filter(results[0], eqx.is_array))
+
+        # Without the weak types of JAX, which some arguments have in a first call only.
+        shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
+        exported = jax.export.export(jax.jit(flat))(*shapes)
+        try:
+            document = json.dumps(encode(results[0])).encode()
+        except UnknownStructureError:
+            return None
+        body = len(document).to_bytes(_LENGTH_BYTES, "big") + document + bytes(exported.serialize())
+        return hashlib.sha256(body).digest() + body
+
+
+class _Program:
+    """A program with the structure of its results.
+
+    Args:
+        content: Content of its file.
+        options: Options of ``jax.jit``.
+
+    Raises:
+        ValueError: If the content is damaged.
+    """
+
+    def __init__(self, content: bytes, options: dict[str, Any]) -> None:
+        digest, body = content[:_HASH_BYTES], content[_HASH_BYTES:]
+        if hashlib.sha256(body).digest() != digest:
+            raise ValueError("the file of a traced program is damaged")
+        begin = _LENGTH_BYTES + int.from_bytes(body[:_LENGTH_BYTES], "big")
+        self._structure = json.loads(body[_LENGTH_BYTES:begin])
+        exported = jax.export.deserialize(bytearray(body[begin:]))
+        # Results of an exported program belong to its device. Where arguments do so at times, as those that are results
+        # of a call before, JAX would compile another program.
+        device = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
+        self._call = jax.jit(exported.call, in_shardings=device, out_shardings=device, **options)
+
+    def __call__(self, arrays: Sequence[Any]) -> Any:
+        return decode(self._structure, iter(self._call(*arrays)))
+
+    def lower(self, arrays: Sequence[Any]) -> None:
+        """Lower the program, which JAX remembers."""
+        self._call.lower(*arrays)
+
+
+def _folder() -> Path | None:
+    """The folder of traced programs; ``None`` if they are not kept."""
+    cache = jax.config.values["jax_compilation_cache_dir"]
+    if os.environ.get(STORED_PROGRAMS) != "on" or not cache or "://" in cache:
+        return None
+    is_single_cpu = jax.default_backend() == "cpu" and jax.local_device_count() == 1
+    return Path(cache) / _FOLDER if is_single_cpu else None
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file at once, so that other processes see all of it or nothing, and delete old ones."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+        file.write(content)
+    os.replace(file.name, path)
+    files = sorted(path.parent.iterdir(), key=lambda p: p.stat().st_mtime, reverse=True)
+    for old in files[_MOST_FILES:]:
+        old.unlink(missing_ok=True)
