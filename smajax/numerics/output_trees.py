@@ -28,14 +28,15 @@ def encode(tree: Any) -> Any:
         return {"kind": "none"}
     if eqx.is_array(tree):
         return {"kind": "array"}
-    if isinstance(tree, dict):
+    # Not of classes derived from these: JAX flattens an OrderedDict in another order.
+    if type(tree) is dict:
         # JAX flattens dictionaries in the order of their keys.
         return {"kind": "dict", "items": [[key, encode(tree[key])] for key in sorted(tree)]}
-    if isinstance(tree, tuple | list) and not hasattr(tree, "_fields"):
+    if type(tree) in (tuple, list):
         return {"kind": type(tree).__name__, "items": [encode(item) for item in tree]}
-    if isinstance(tree, bool | int | float | str):
+    if type(tree) in (bool, int, float, str):
         return {"kind": "value", "value": tree}
-    if isinstance(tree, eqx.Module) or hasattr(tree, "_fields"):
+    if isinstance(tree, eqx.Module) or (isinstance(tree, tuple) and hasattr(tree, "_fields")):
         return {"kind": "class", "class": _class_name(type(tree)), "items": [[n, encode(v)] for n, v in _fields(tree)]}
     raise UnknownStructureError(f"{type(tree).__qualname__} is no part of a structure")
 

@@ -12,11 +12,12 @@ shows what it buys. The programs are the same ones, so that no number changes.
 import contextlib
 import functools
 import hashlib
+import itertools
 import json
 import os
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,12 @@ import jax.core
 import jax.export
 
 from smajax.numerics.loop_kernels import jit_with_kernels
-from smajax.numerics.output_trees import UnknownStructureError, decode, encode
+from smajax.numerics.output_trees import decode, encode
 from smajax.numerics.process import STORED_PROGRAMS
-from smajax.numerics.program_keys import NoKeyError, program_key
+from smajax.numerics.program_keys import NoKeyError, is_code_edited, program_key
 
-# Folder in JAX's cache, ending of its files, and the most of them: those that were not used for longest are deleted. A
-# program takes 0.1 to 2 MB.
+# Folder in JAX's cache, ending of its files, and their largest number, which bounds the size of the folder; those that
+# were not used for longest are deleted.
 _FOLDER, _SUFFIX, _MOST_FILES = "traced", ".program", 256
 # Bytes of the hash and of the length of the structure at the beginning of a file.
 _HASH_BYTES, _LENGTH_BYTES = 32, 8
@@ -43,6 +44,9 @@ def stored(function: Callable[..., Any], **options: Any) -> "StoredFunction":
     Args:
         function: Function of pytrees, whose results are arrays in tuples, dictionaries, named tuples and modules.
         options: Options of ``jax.jit``, such as ``compiler_options``.
+
+    Returns:
+        The compiled function.
     """
     return StoredFunction(function, options)
 
@@ -73,7 +77,8 @@ class StoredFunction:
 
     def _program_of(self, arguments: Any) -> tuple["_Program | None", list[Any]]:
         """The stored program for some arguments, ``None`` if there is none, and the arrays among the arguments."""
-        folder = _folder()
+        settings = jax.config.values
+        folder = _folder(settings)
         if folder is None:
             return None, []
         leaves, structure = jax.tree.flatten(arguments)
@@ -81,7 +86,7 @@ class StoredFunction:
             return None, []
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         shapes = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
-        signature = (structure, shapes, folder, jax.config.values["jax_enable_x64"])
+        signature = (structure, shapes, tuple(settings.values()))
         try:
             return self._programs[signature], arrays
         except KeyError:
@@ -100,17 +105,19 @@ class StoredFunction:
             return None
         with contextlib.suppress(OSError, ValueError):
             program = _Program(path.read_bytes(), self._options)
-            os.utime(path)
+            with contextlib.suppress(OSError):  # the file of another user
+                os.utime(path)
             return program
         content = self._traced(arguments)
         if content is None:
             return None
         with contextlib.suppress(OSError):  # a cache that cannot be written is no error
-            _write(path, content)
+            if not is_code_edited():
+                _write(path, content)
         return _Program(content, self._options)
 
     def _traced(self, arguments: Any) -> bytes | None:
-        """The content of the file of a program; ``None`` if its results cannot be stored."""
+        """The content of the file of a program; ``None`` if it cannot be stored."""
         dynamic, static = eqx.partition(arguments, eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
         results = []
@@ -122,12 +129,13 @@ class StoredFunction:
 
         # Without the weak types of JAX, which some arguments have in a first call only.
         shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-        exported = jax.export.export(jax.jit(flat))(*shapes)
         try:
+            program = bytes(jax.export.export(jax.jit(flat))(*shapes).serialize())
             document = json.dumps(encode(results[0])).encode()
-        except UnknownStructureError:
+        # Calls of Python, such as checks of equinox, or other results; an error of the function is raised again.
+        except (NotImplementedError, ValueError):
             return None
-        body = len(document).to_bytes(_LENGTH_BYTES, "big") + document + bytes(exported.serialize())
+        body = len(document).to_bytes(_LENGTH_BYTES, "big") + document + program
         return hashlib.sha256(body).digest() + body
 
 
@@ -139,7 +147,7 @@ class _Program:
         options: Options of ``jax.jit``.
 
     Raises:
-        ValueError: If the content is damaged.
+        ValueError: If the content is damaged, or the class of a result is not imported.
     """
 
     def __init__(self, content: bytes, options: dict[str, Any]) -> None:
@@ -148,6 +156,7 @@ class _Program:
             raise ValueError("the file of a traced program is damaged")
         begin = _LENGTH_BYTES + int.from_bytes(body[:_LENGTH_BYTES], "big")
         self._structure = json.loads(body[_LENGTH_BYTES:begin])
+        decode(self._structure, itertools.repeat(None))
         exported = jax.export.deserialize(bytearray(body[begin:]))
         # Results of an exported program belong to its device. Where arguments do so at times, as those that are results
         # of a call before, JAX would compile another program.
@@ -162,9 +171,9 @@ class _Program:
         self._call.lower(*arrays)
 
 
-def _folder() -> Path | None:
-    """The folder of traced programs; ``None`` if they are not kept."""
-    cache = jax.config.values["jax_compilation_cache_dir"]
+def _folder(settings: Mapping[str, Any]) -> Path | None:
+    """The folder of traced programs by JAX's settings; ``None`` if they are not kept."""
+    cache = settings["jax_compilation_cache_dir"]
     if os.environ.get(STORED_PROGRAMS) != "on" or not cache or "://" in cache:
         return None
     is_single_cpu = jax.default_backend() == "cpu" and jax.local_device_count() == 1
@@ -175,8 +184,13 @@ def _write(path: Path, content: bytes) -> None:
     """Write a file at once, so that other processes see all of it or nothing, and delete old ones."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(content)
-    os.replace(file.name, path)
+        try:
+            file.write(content)
+            file.close()
+            os.replace(file.name, path)
+        except OSError:  # such as a full disk
+            os.unlink(file.name)
+            raise
     files = sorted(path.parent.iterdir(), key=lambda p: p.stat().st_mtime, reverse=True)
     for old in files[_MOST_FILES:]:
         old.unlink(missing_ok=True)

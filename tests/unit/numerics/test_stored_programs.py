@@ -1,10 +1,14 @@
 """Traced programs that are kept between processes."""
 
 import dataclasses
+import functools
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import types
+from collections import OrderedDict
 
 import equinox as eqx
 import jax
@@ -12,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smajax.numerics import program_keys, stored_programs
+from smajax.numerics import output_trees, program_keys, stored_programs
 from smajax.numerics.output_trees import UnknownStructureError, decode, encode
 from smajax.numerics.program_keys import NoKeyError, program_key
 from smajax.numerics.stored_programs import stored
@@ -21,6 +25,14 @@ from tests.conftest import ROOT
 
 def scale(values: dict[str, jax.Array], factor: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
     return jnp.sum(values["a"] * factor), {"last": values["a"][-1] * factor}
+
+
+def check_positive(value: jax.Array) -> jax.Array:
+    return eqx.error_if(value, value < 0.0, "not positive", on_error="raise")
+
+
+def raise_permission_error(*arguments: object) -> None:
+    raise PermissionError
 
 
 @pytest.fixture
@@ -80,6 +92,59 @@ def test_code_without_a_version_is_traced_in_every_process(folder, monkeypatch):
     assert not folder.exists()
 
 
+def test_a_program_that_calls_python_is_traced_in_every_process(folder):
+    checked = stored(check_positive)
+    assert float(checked(jnp.asarray(1.0))) == 1.0
+    with pytest.raises(RuntimeError, match="not positive"):
+        jax.block_until_ready(checked(jnp.asarray(-1.0)))
+    assert not folder.exists()
+
+
+def test_other_settings_give_another_program(folder):
+    function = stored(scale)
+    function(*ARGUMENTS)
+    with jax.default_matmul_precision("float32"):
+        function(*ARGUMENTS)
+    assert len([*folder.iterdir()]) == 2
+
+
+def test_nothing_is_stored_after_a_source_file_was_edited(folder, monkeypatch):
+    key_of(1.0)  # the hash of the files is known from now on
+    monkeypatch.setattr(program_keys, "_TIME_OF_IMPORT", 0.0)
+    check_scaled(stored(scale)(*ARGUMENTS))
+    assert [*folder.parent.iterdir()] == []
+    program_keys._code_hash.cache_clear()
+    with pytest.raises(NoKeyError, match="source files"):
+        key_of(1.0)
+
+
+def test_a_result_of_a_class_that_is_not_imported_is_traced_again(folder, monkeypatch):
+    monkeypatch.setattr(output_trees, "_PACKAGES", ("tests",))
+    argument = jnp.ones(3)
+    stored(make_table)(argument)
+    traced = []
+    trace = stored_programs.StoredFunction._traced
+    monkeypatch.setattr(stored_programs.StoredFunction, "_traced", lambda *a: traced.append(1) or trace(*a))
+    assert float(stored(make_table)(argument).numbers[0]) == 1.0 and not traced
+    (path,) = folder.iterdir()
+    content = path.read_bytes()[32:].replace(b":Table", b":Tabla")
+    path.write_bytes(hashlib.sha256(content).digest() + content)
+    assert float(stored(make_table)(argument).numbers[0]) == 1.0 and traced
+
+
+def test_a_file_of_another_user_is_read(folder, monkeypatch):
+    stored(scale)(*ARGUMENTS)
+    monkeypatch.setattr(os, "utime", raise_permission_error)
+    monkeypatch.setattr(stored_programs.StoredFunction, "_traced", lambda *_: pytest.fail("traced again"))
+    check_scaled(stored(scale)(*ARGUMENTS))
+
+
+def test_a_file_that_cannot_be_completed_leaves_nothing(folder, monkeypatch):
+    monkeypatch.setattr(os, "replace", raise_permission_error)
+    check_scaled(stored(scale)(*ARGUMENTS))
+    assert [*folder.iterdir()] == []
+
+
 def test_the_oldest_files_are_deleted(folder, monkeypatch):
     monkeypatch.setattr(stored_programs, "_MOST_FILES", 2)
     for count in range(1, 5):
@@ -91,6 +156,10 @@ class Table(eqx.Module):
     numbers: jax.Array
     fixed: tuple[float, ...] = eqx.field(static=True)
     other: object = eqx.field(static=True, default=None)
+
+
+def make_table(numbers: jax.Array) -> Table:
+    return Table(numbers, (1.0,))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,6 +196,33 @@ def test_what_a_function_captures_is_part_of_its_key(folder):
         program_key(function_with(object()), {}, ())
 
 
+def test_functions_of_one_line_and_classes_of_one_name_are_distinguished(folder):
+    first, second = (lambda x: x + 1.0), (lambda x: x + 2.0)
+    assert program_key(first, {}, ()) != program_key(second, {}, ())
+
+    class Local(Table):
+        pass
+
+    with pytest.raises(NoKeyError, match="Local"):
+        key_of(Local(jnp.ones(1), (1.0,)))
+
+
+def test_a_function_of_other_code_has_no_key_by_the_name_that_it_wraps(folder):
+    wrapped = functools.wraps(scale)(types.FunctionType(check_positive.__code__, {"__name__": "__main__"}))
+    assert wrapped.__module__ == scale.__module__
+    with pytest.raises(NoKeyError, match="__main__"):
+        program_key(wrapped, {}, ())
+
+
+def test_a_captured_value_that_jax_traces_has_no_key(folder):
+    argument = jnp.asarray(3.0)
+
+    def outer(captured: jax.Array) -> jax.Array:
+        return stored(lambda x: x * captured)(argument)
+
+    assert float(jax.jit(outer)(jnp.asarray(2.0))) == 6.0
+
+
 def test_settings_and_environment_are_part_of_a_key(folder, monkeypatch):
     key = key_of(1.0)
     with jax.default_matmul_precision("float32"):
@@ -142,7 +238,7 @@ def test_structures_are_read_as_they_were_written():
     tree = {"b": (jnp.ones(2), None, [jnp.zeros(1), 3]), "a": LMState(**fields)}
     read = decode(encode(tree), iter(jax.tree.leaves(eqx.filter(tree, eqx.is_array))))
     assert bool(eqx.tree_equal(read, tree))
-    for unknown in (object(), Options(np.ones(1)), {"a": {1, 2}}):
+    for unknown in (object(), Options(np.ones(1)), {"a": {1, 2}}, OrderedDict(b=jnp.ones(1), a=jnp.zeros(1))):
         with pytest.raises(UnknownStructureError):
             encode(unknown)
     with pytest.raises(UnknownStructureError, match="no class"):
