@@ -137,6 +137,19 @@ def observable_channels(wires: int, coordinate: str, extra: Iterable[str] = ()) 
     return tuple(dict.fromkeys((coordinate, *numbered("strain", wires), *names, *extra)))
 
 
+def driving_signals(control: str, wires: int, has_temperature: bool, prescribed: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the recorded channels that drive a plant.
+
+    Args:
+        control: Electrical input; empty if there is none.
+        wires: Number of wires.
+        has_temperature: Whether the wire has the recorded temperature.
+        prescribed: Recorded channels that the mechanism follows.
+    """
+    inputs = numbered(control, wires) if control else ()
+    return (*inputs, *(("temperature",) if has_temperature else ()), *prescribed)
+
+
 def channel_unit(name: str, *, difference: bool = False) -> str:
     """Return the internal unit of a channel's values, or of differences of them.
 

@@ -1,7 +1,7 @@
-"""The second Ctrl-C during a call of another library, such as a compilation, which Python would take for the first.
+"""Detection of a second Ctrl-C during a call of another library, such as a compilation.
 
-Python's handler of a signal runs after the call, once for all signals until then. For each signal Python writes a byte
-to a file at once, however, and a thread that reads them knows of the second one.
+Python runs the handler of a signal after such a call only, once for all signals until then. It writes a byte to a file
+for each signal at once, however; a thread reads and counts them.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ class InterruptWatch:
     """Calls a function at the second Ctrl-C after ``start``, from a thread, and not more than once."""
 
     def __init__(self, function: Callable[[], object]):
-        """Watch nothing before ``start``.
+        """Make a watch; it begins with ``start``.
 
         Args:
             function: What ends the process.
@@ -31,7 +31,7 @@ class InterruptWatch:
         self._previous = -1
 
     def start(self) -> None:
-        """Count from 0; to be called from the main thread. Without a socket of this machine nothing is watched."""
+        """Count from 0; to be called from the main thread. If there is no socket or thread left, nothing is watched."""
         with contextlib.suppress(OSError, RuntimeError):  # no socket, no thread
             reader, writer = socket.socketpair()
             writer.setblocking(False)

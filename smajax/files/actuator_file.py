@@ -24,8 +24,7 @@ from smajax.files.rig_checks import check_coil, check_order, check_whole
 from smajax.files.rig_classes import rig_classes
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, render_toml, validate, write_text
 from smajax.files.validators import one_of, section_model
-from smajax.parameters import TIES, declarations
-from smajax.parameters.definitions import Declaration
+from smajax.parameters.definitions import Declaration, declarations, tie_declarations
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
 
@@ -152,7 +151,7 @@ def check_actuator_values(text: str, name: str) -> dict[str, Declaration]:
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     table = {f"{section}.{key}": d for section, part in read.parts.items() for key, d in declarations(part).items()}
-    return table | {tie: table[of[0]] for tie, of in TIES.items() if all(member in table for member in of)}
+    return table | tie_declarations(table)
 
 
 def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> "AbstractActuator":

@@ -5,6 +5,7 @@ loaded, so that a mistake is reported at once, in the sentence of the full check
 """
 
 import importlib.metadata
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -12,8 +13,13 @@ from contextvars import ContextVar
 from smajax.files.class_tables import RigClasses, shipped_tables
 
 _uses_tables: ContextVar[bool] = ContextVar("uses_tables", default=False)
-# Groups of entry points under which installed packages offer classes of their own, which the tables do not have.
-_GROUPS = ("smajax.mechanisms", "smajax.materials", "smajax.effects", "smajax.controllers")
+# Modules of the registries, by the last part of the group of entry points under which installed packages offer classes.
+_REGISTRIES = {
+    "mechanisms": "smajax.plant.mechanisms.registry",
+    "materials": "smajax.plant.materials.registry",
+    "effects": "smajax.plant.effects.registry",
+    "controllers": "smajax.control.controllers.registry",
+}
 
 
 def rig_classes() -> RigClasses:
@@ -41,5 +47,11 @@ def without_classes() -> Iterator[None]:
 
 
 def has_installed_classes() -> bool:
-    """Return whether an installed package offers classes of its own."""
-    return any(importlib.metadata.entry_points(group=group) for group in _GROUPS)
+    """Return whether an installed package offers classes of its own, which the tables do not have."""
+    return any(importlib.metadata.entry_points(group=f"smajax.{kind}") for kind in _REGISTRIES)
+
+
+def has_registered_classes() -> bool:
+    """Return whether this process has registered classes of its own, which the tables do not have."""
+    loaded = {kind: sys.modules[module] for kind, module in _REGISTRIES.items() if module in sys.modules}
+    return any(getattr(module, kind.upper()).is_extended for kind, module in loaded.items())

@@ -8,13 +8,12 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from smajax.channels import numbered, observable_channels
+from smajax.channels import driving_signals, observable_channels
 from smajax.errors import InputError
 from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.files.rig_structure import UNIFORM, Structure
-from smajax.parameters import TIES, declarations
-from smajax.parameters.definitions import Declaration
+from smajax.parameters.definitions import Declaration, declarations, tie_declarations
 
 # Kinds of rigs whose wire is a coil; the wire of any other kind is that of its mechanism.
 _COILED = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
@@ -71,8 +70,8 @@ class Stages:
     @property
     def signals(self) -> tuple[str, ...]:
         """Recorded channels that drive the plant."""
-        control = numbered(self.drive.control, self.mechanism.wires) if self.drive.control else ()
-        return (*control, *(["temperature"] if self.is_prescribed else []), *self.mechanism.prescribed)
+        mechanism = self.mechanism
+        return driving_signals(self.drive.control, mechanism.wires, self.is_prescribed, mechanism.prescribed)
 
     @property
     def is_prescribed(self) -> bool:
@@ -90,9 +89,7 @@ class Stages:
             f"{section}.{key}": d for section, part in self.parts.items() for key, d in declarations(part).items()
         }
         leaves = {name: d for name, d in leaves.items() if name not in self.inert}
-        return leaves | {
-            tie: leaves[members[0]] for tie, members in TIES.items() if all(member in leaves for member in members)
-        }
+        return leaves | tie_declarations(leaves)
 
     def keys(self, section: str) -> dict[str, Declaration]:
         """Return the declarations of a section by key, with the ties."""

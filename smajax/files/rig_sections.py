@@ -198,7 +198,7 @@ def read_sensor_values(sections: RigSections) -> dict[str, float]:
 
 
 def _check_other_sections(sections: RigSections) -> CheckedRig:
-    """Check the sections that do not determine the stages; what depends on the values of the plant is left alone."""
+    """Check the sections that do not determine the stages, but for what depends on the values of the plant."""
     data, stages, fit = sections.data, sections.stages, sections.fit
     check_observed(sections.observe, stages, sections.head.kind)
     sensor_values = read_sensor_values(sections)

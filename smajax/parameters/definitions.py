@@ -93,6 +93,16 @@ def sensor_declarations(channels: Iterable[str]) -> dict[str, Declaration]:
     return table
 
 
+def tie_declarations(table: Mapping[str, Declaration]) -> dict[str, Declaration]:
+    """Return the declarations of the ties all of whose members are declared, by name.
+
+    Args:
+        table: Declarations of the members by name.
+    """
+    ties = {tie: table[members[0]] for tie, members in TIES.items() if all(member in table for member in members)}
+    return {tie: dataclasses.replace(d, meaning=d.meaning.replace(" of austenite", "")) for tie, d in ties.items()}
+
+
 def expand(names: Iterable[str]) -> list[str]:
     """Return parameter names with ties replaced by their members, in the same order."""
     return [member for name in names for member in TIES.get(name, (name,))]

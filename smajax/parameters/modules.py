@@ -15,7 +15,7 @@ import numpy as np
 
 from smajax.errors import InputError, missing_members, suggestion
 from smajax.parameters.checks import check_declaration, check_order, check_value
-from smajax.parameters.definitions import TIES, Declaration, declarations, expand
+from smajax.parameters.definitions import TIES, Declaration, declarations, expand, tie_declarations
 from smajax.units import as_text
 
 # All of smajax needs double precision. JAX is switched to it here, on import, unless the environment says otherwise.
@@ -235,11 +235,7 @@ def all_declarations(plant: Any) -> dict[str, Declaration]:
     }
     if hasattr(plant, "sensor"):
         table.update({f"sensor.{name}": d for name, d in plant.sensor.declarations().items()})
-    for tie, members in TIES.items():
-        if all(member in table for member in members):
-            first = table[members[0]]
-            table[tie] = dataclasses.replace(first, meaning=first.meaning.replace(" of austenite", ""))
-    return table
+    return table | tie_declarations(table)
 
 
 def declaration(plant: Any, name: str) -> Declaration:

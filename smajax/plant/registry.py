@@ -78,6 +78,11 @@ class Registry(Mapping[str, type[Module]]):
         return {**self._shipped, **self._added}
 
     @property
+    def is_extended(self) -> bool:
+        """Whether classes were added to the shipped ones."""
+        return bool(self._added)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """All names, those included that installed packages offer; none is imported for this."""
         return tuple(dict.fromkeys([*self.loaded, *self._entry_points]))

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.channels import numbered
+from smajax.channels import driving_signals
 from smajax.errors import InputError
 from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains
 from smajax.plant.drive import AbstractDrive
@@ -134,11 +134,8 @@ class PlantStages(CellsAndGrains):
         ``environment.ambient`` in the heat balance, and the duty of a fan. The reference temperature of the thermal
         strain and of a resistivity stays ``environment.ambient``.
         """
-        wires = self.mechanism.wires
-        control = [self.drive.control] if self.drive.control else []
-        control = [n for c in control for n in numbered(c, wires)]
-        temperature = ["temperature"] if isinstance(self.heat, PrescribedTemperature) else []
-        return (*control, *temperature, *self.mechanism.prescribed)
+        mechanism, is_prescribed = self.mechanism, isinstance(self.heat, PrescribedTemperature)
+        return driving_signals(self.drive.control, mechanism.wires, is_prescribed, mechanism.prescribed)
 
     @property
     def surroundings(self) -> tuple[str, ...]:

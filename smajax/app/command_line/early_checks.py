@@ -1,10 +1,11 @@
-"""Checks of a command's files before JAX is loaded, so that a mistake in a path, a file or a recording is told at once.
+"""Checks of a command's files before JAX is loaded, so that a mistake in a path, file or recording is reported at once.
 
 The checks are those that the command makes again when it reads the files, in the same sentences. What needs the plant
 itself, or classes of installed packages, is left to the command.
 """
 
 from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 
 # Suffix of the table of an earlier sweep, which may be given in place of a TOML file.
 _TABLE = ".parquet"
-# Bytes of the largest recording that is read for its mistakes first: 0.1 s, where a command takes several seconds.
+# Bytes of the largest recording that is read for its mistakes first; a command then reads it twice. Chosen so that this
+# takes a small share of the time in which JAX is loaded.
 _LARGEST_RECORDING = 2**21
 
 
@@ -62,11 +64,11 @@ def _check_contents(
     toml: Mapping[str, tuple[str, Path]], recordings: Iterable[Path], reading: Mapping[str, Any], observed: bool
 ) -> None:
     """Check the contents of TOML files, each a text and its path, and of recordings of the rig among them."""
-    from smajax.files.rig_classes import has_installed_classes, without_classes
+    from smajax.files.rig_classes import has_installed_classes, has_registered_classes, without_classes
 
     if not toml or has_installed_classes():
         return
-    with without_classes():
+    with nullcontext() if has_registered_classes() else without_classes():
         rig = None
         for kind, (text, path) in toml.items():
             rig = _check_content(kind, text, path) or rig
@@ -78,7 +80,9 @@ def _check_contents(
 def _check_content(kind: str, text: str, path: Path) -> "CheckedRig | None":
     """Check the content of a TOML file; that of a rig is returned."""
     if kind == "file":
-        kind = _kind_of(text)
+        from smajax.files.file_kinds import kind_of_file
+
+        kind = kind_of_file(text, str(path))
     if kind == "controller":
         from smajax.control.controller_file.sections import check_controller_sections
 
@@ -96,14 +100,3 @@ def _check_content(kind: str, text: str, path: Path) -> "CheckedRig | None":
 
         return check_rig_sections(text, str(path), path.parent)
     return None
-
-
-def _kind_of(text: str) -> str:
-    """Return what a TOML file is, as ``smajax check`` decides it."""
-    import tomllib
-
-    from smajax.files.actuator_file import is_actuator
-
-    data = tomllib.loads(text)
-    kind = next((kind for kind in ("controller", "sweep") if kind in data), "rig")
-    return "actuator" if kind == "rig" and is_actuator(text) else kind

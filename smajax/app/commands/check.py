@@ -15,10 +15,11 @@ from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.channels import channel_unit
 from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
-from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
+from smajax.files.actuator_file import kind_of, parse_actuator
+from smajax.files.file_kinds import kind_of_file
 from smajax.files.latent_heat_note import latent_heat_note
 from smajax.files.rig_file import Rig, read_rig
-from smajax.files.toml import parse_toml, read_text
+from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.fitting.memory import fit_memory, free_memory
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
@@ -60,7 +61,7 @@ def describe(
         InputError: For the first mistake in a file, or for recordings of an actuator.
     """
     text = read_text(path, "rig")
-    kind = _kind_of_file(path)
+    kind = kind_of_file(text, str(path))
     if kind == "sweep":
         from smajax.app.commands.check_files import describe_sweep  # all of smajax.sweeps
 
@@ -69,11 +70,12 @@ def describe(
             raise InputError(f"{path}: a sweep needs no recording: remove {recordings[0]} from the command line")
     elif kind == "controller":
         raise InputError(f"{path}: a controller is checked for its rig: write smajax check RIG {path}")
-    elif is_actuator(text):
+    elif kind == "actuator":
         lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
     else:
         rig = read_rig(path).with_read_options(**reading)
-        others = {file: _kind_of_file(file) for file in recordings if file.suffix == ".toml"}
+        files = [file for file in recordings if file.suffix == ".toml"]
+        others = {file: kind_of_file(read_text(file, "rig"), str(file)) for file in files}
         data = [file for file in recordings if file not in others]
         lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, data)], auto)
         for file, kind in others.items():
@@ -81,15 +83,9 @@ def describe(
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _kind_of_file(path: Path) -> str:
-    """Return what a TOML file is: ``controller``, ``sweep``, or ``rig`` for any other."""
-    data = parse_toml(read_text(path, "rig"), str(path))
-    return next((kind for kind in ("controller", "sweep") if kind in data), "rig")
-
-
 def _describe_other(file: Path, kind: str, rig: Rig) -> list[str]:
     """Describe a file next to a rig that is no recording."""
-    if kind == "rig":
+    if kind in ("rig", "actuator"):
         raise InputError(f"{file}: this is a rig, and one is checked at a time: write smajax check {file}")
     from smajax.app.commands.check_files import describe_controller, describe_sweep  # control and sweeps
 

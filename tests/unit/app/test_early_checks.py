@@ -104,6 +104,7 @@ CONTROLLER_MISTAKES = {
 SWEEP_MISTAKES = {
     "unknown section": ("[objectives]", "[objective]"),
     "unknown table": ("schema = 1", "schema = 1\nextra = 1"),
+    "tie": ("[objectives]", '[parameters.heat]\ncapacity = ["1 J/m^3/K", "2 J/m^3/K"]\n[objectives]'),
     "no sweep": ("[sweep]", "[swoop]"),
     "schema": ("schema = 1", "schema = 2"),
     "unknown key": ("designs = 1024", "design = 1024"),
@@ -227,6 +228,7 @@ def test_a_registered_class_is_left_to_the_full_check(example, monkeypatch):
     check_files(toml={"rig": path})
     monkeypatch.undo()
     monkeypatch.setitem(MATERIALS._added, "my-law", MATERIALS["brinson"])
+    check_files(toml={"rig": path})
     assert rig_classes().materials["my-law"] is MATERIALS["brinson"]
     with without_classes():
         assert "my-law" not in rig_classes().materials
