@@ -24,7 +24,6 @@ import equinox as eqx
 import jax
 import jax.core
 import numpy as np
-from equinox._config import EQX_ON_ERROR
 
 # Number of the format of stored programs and keys.
 _FORMAT = 1
@@ -33,8 +32,10 @@ _LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "diff
 _KNOWN = frozenset({*_LIBRARIES, "smajax", "builtins", "functools", "operator", "enum", "collections"})
 # Settings that say where programs are cached, not what they compute.
 _CACHE_SETTINGS = ("jax_compilation_cache", "jax_persistent_cache", "jax_enable_compilation_cache")
-# Environment variables that change programs. That of equinox's checks counts as it was when equinox was imported.
+# Environment variables that change programs.
 _VARIABLES = ("XLA_FLAGS",)
+# Whether equinox's checks are part of programs: equinox reads the variable when it is imported.
+_CHECKS = getattr(sys.modules.get("equinox._config"), "EQX_ON_ERROR", os.environ.get("EQX_ON_ERROR", ""))
 _SOURCES = Path(__file__).parents[1]
 # In seconds since the epoch, as the times of files are.
 _TIME_OF_IMPORT = time.time()
@@ -67,7 +68,7 @@ def _environment() -> str:
     settings = {name: str(value) for name, value in jax.config.values.items() if not name.startswith(_CACHE_SETTINGS)}
     versions = {name: sys.modules[name].__version__ for name in _LIBRARIES if name in sys.modules}
     variables = {name: os.environ.get(name, "") for name in _VARIABLES}
-    where = (sys.version, platform.machine(), jax.default_backend(), EQX_ON_ERROR)
+    where = (sys.version, platform.machine(), jax.default_backend(), _CHECKS)
     return repr((_FORMAT, _code_hash(), sorted(versions.items()), where, sorted(variables.items()), settings))
 
 
