@@ -37,8 +37,12 @@ _SHORTAGES = {
 }
 
 
+# Signals that stop a command: Ctrl-C, and what a scheduler sends before it kills a process whose time is over.
+_STOPPING = (signal.SIGINT, signal.SIGTERM)
+
+
 class CommandProgress:
-    """Progress callback of a command: shows the events, and turns the first Ctrl-C into a request to stop.
+    """Progress callback of a command: shows the events, and turns the first Ctrl-C or SIGTERM into a request to stop.
 
     In a phase that can stop, the first Ctrl-C does not raise an exception, since it could be lost during a compilation;
     the work stops after its step. Where the work has its result already, the first Ctrl-C is noted, and the result is
@@ -56,9 +60,9 @@ class CommandProgress:
             display: Display of the events.
         """
         self._display = display
-        self._previous: Any = None
+        self._previous: dict[int, Any] = {}
         self._handling = self._requested = self._has_result = self._can_stop = self._raised = False
-        self._watch = InterruptWatch(self._end)
+        self._watch = InterruptWatch(_STOPPING, self._end)
         self.interrupted: bool = False
 
     def __enter__(self) -> "CommandProgress":
@@ -96,13 +100,15 @@ class CommandProgress:
 
     def _handle(self) -> None:
         if not self._handling and threading.current_thread() is threading.main_thread():
-            self._previous, self._handling = signal.signal(signal.SIGINT, self._on_interrupt), True
+            self._previous = {number: signal.signal(number, self._on_interrupt) for number in _STOPPING}
+            self._handling = True
             self._watch.start()
 
     def _restore(self) -> None:
         if self._handling:
             self._watch.stop()
-            signal.signal(signal.SIGINT, self._previous)
+            for number, previous in self._previous.items():
+                signal.signal(number, previous if previous is not None else signal.SIG_DFL)
         self._handling = self._requested = False
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:

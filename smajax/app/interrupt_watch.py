@@ -8,7 +8,7 @@ import contextlib
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 # Number of the signal that ends the process.
 _SECOND = 2
@@ -19,13 +19,14 @@ _BYTES = 16
 class InterruptWatch:
     """Calls a function at the second Ctrl-C after ``start``, from a thread, and not more than once."""
 
-    def __init__(self, function: Callable[[], object]):
+    def __init__(self, signals: Sequence[int], function: Callable[[], object]):
         """Make a watch; it begins with ``start``.
 
         Args:
+            signals: Numbers of the signals that count: that of Ctrl-C, and those that mean the same.
             function: What ends the process.
         """
-        self._function = function
+        self._signals, self._function = signals, function
         self._once = threading.Lock()
         self._writer: socket.socket | None = None
         self._previous = -1
@@ -55,7 +56,7 @@ class InterruptWatch:
         count = 0
         with reader:
             while content := reader.recv(_BYTES):
-                count += content.count(signal.SIGINT)
+                count += sum(content.count(number) for number in self._signals)
                 if count >= _SECOND:
                     self.end()
                     return

@@ -1,4 +1,4 @@
-"""Ctrl-C while packages are imported: it ends the process at once, in one sentence.
+"""Before packages are imported: Ctrl-C ends the process at once, in one sentence, and too little memory is refused.
 
 An exception in the import of an extension module would come out as another one, or crash the process.
 """
@@ -8,7 +8,30 @@ import signal
 import threading
 from types import FrameType
 
-from smajax.errors import Cancelled
+from smajax.errors import Cancelled, NumericsError
+
+# Bytes of address space that a command needs at least. JAX's compiler ends the process where it gets none, without an
+# error that could be reported; test_a_small_address_space_is_refused in tests/integration/test_cli.py holds it.
+_ADDRESS_SPACE = 2 * 2**30
+
+
+def check_address_space() -> None:
+    """Check that the system does not limit the address space of this process below what a command needs.
+
+    Raises:
+        NumericsError: If it does.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
+        given, needed = (f"{size // 2**20:,} MiB" for size in (limit, _ADDRESS_SPACE))
+        raise NumericsError(
+            f"there is not enough memory for this: the limit of this process is {given}, and {needed} are needed: raise "
+            "it ('ulimit -v')"
+        )
 
 
 def exit_on_interrupt() -> None:

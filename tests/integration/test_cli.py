@@ -353,6 +353,35 @@ def test_ctrl_c_while_the_results_are_written_keeps_them(bench, monkeypatch, com
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_the_end_of_a_schedulers_time_keeps_the_best_point(bench, fitted, monkeypatch):
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(Progress, "step", lambda self, text: signal.raise_signal(signal.SIGTERM))
+    result = smajax("fit", bench / "rig.toml", bench / "train.csv", "--out", bench / "timed-out")
+    assert result.exit_code == 130, result.output
+    assert json.loads((bench / "timed-out" / "fit.json").read_text())["solver"]["code"] == "interrupted"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_small_address_space_is_refused(bench):
+    """In processes of their own; with the space that is said to be needed a simulation runs."""
+    resource = pytest.importorskip("resource", reason="limits of memory are those of Unix")
+    program = (
+        "import resource; resource.setrlimit(resource.RLIMIT_AS, ({0}, {0})); from smajax.__main__ import main; main()"
+    )
+    for size, code in ((2**30, 3), (2 * 2**30, 0)):
+        words = ["simulate", "rig.toml", "train.csv", "--out", f"space-{code}"]
+        call = [sys.executable, "-c", program.format(size), *words]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        result = subprocess.run(call, cwd=bench, env=environment, capture_output=True, text=True)
+        assert result.returncode == code, result.stderr
+        assert (bench / f"space-{code}").exists() is (code == 0)
+        if code:
+            assert result.stderr == (
+                "smajax: there is not enough memory for this: the limit of this process is 1,024 MiB, and 2,048 MiB are "
+                "needed: raise it ('ulimit -v')\n"
+            )
+
+
 def test_a_ctrl_c_that_a_callback_loses_is_raised_again_and_a_second_one_ends_the_process(monkeypatch, capsys):
     codes = []
     monkeypatch.setattr("smajax.app.console.os._exit", codes.append)

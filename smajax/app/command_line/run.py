@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from smajax.app.loading import exit_on_interrupt
+from smajax.app.loading import check_address_space, exit_on_interrupt
 from smajax.app.output import say, say_json, say_on_stderr
 from smajax.errors import Cancelled
 
@@ -23,8 +23,12 @@ def start_run(quiet: bool, accelerator: bool = False) -> "CommandProgress":
     Args:
         quiet: Whether no progress is shown.
         accelerator: Whether JAX may use an accelerator.
+
+    Raises:
+        NumericsError: If the process may not have the memory that JAX needs.
     """
     exit_on_interrupt()
+    check_address_space()
     from smajax.app.console import CommandProgress
     from smajax.numerics.process import prepare_jax
     from smajax.progress import Progress

@@ -8,7 +8,7 @@ CALL = """
 import os, signal, threading, time
 import numpy as np
 from smajax.app.interrupt_watch import InterruptWatch
-watch = InterruptWatch(lambda: os._exit(130))
+watch = InterruptWatch((signal.SIGINT,), lambda: os._exit(130))
 signal.signal(signal.SIGINT, lambda *_: None)
 watch.start()
 def press():
