@@ -29,8 +29,8 @@ def check_address_space() -> None:
     if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
         given, needed = (f"{size // 2**20:,} MiB" for size in (limit, _ADDRESS_SPACE))
         raise NumericsError(
-            f"there is not enough memory for this: the limit of this process is {given}, and {needed} are needed: raise "
-            "it ('ulimit -v')"
+            f"there is not enough memory for this: the limit of this process is {given}, and {needed} are needed: "
+            "raise it ('ulimit -v')"
         )
 
 
