@@ -215,6 +215,19 @@ def rows_of(case: dict) -> list[Row]:
     return rows
 
 
+def total_row(cases: list[dict]) -> Row:
+    """Return the line of all commands together.
+
+    Args:
+        cases: What was found, as ``examine`` returns it.
+    """
+    ways = sum((Counter(case["ways"]) for case in cases), Counter())
+    problems = sum((Counter(case["problems"]) for case in cases), Counter())
+    count = ways.total() - ways[ENDED]
+    text = f"{count} interruptions, {ways['kill']} of them kills; {problems.total()} problems"
+    return Row("all commands", "no problem", text, not problems, dict(ways))
+
+
 def main() -> None:
     """Print the table."""
     choice = {"help": "commands, with commas", "default": ",".join(COMMANDS), "metavar": "A,B"}
@@ -227,7 +240,7 @@ def main() -> None:
             done[command] = examine(command, count)
             add_case(args.out, done[command])
     cases = [done[command] for command in args.commands.split(",")]
-    finish([row for case in cases for row in rows_of(case)], args, resumed=resumed)
+    finish([total_row(cases), *(row for case in cases for row in rows_of(case))], args, resumed=resumed)
 
 
 if __name__ == "__main__":
