@@ -1,5 +1,7 @@
 """Arguments that cannot be: one sentence that names the argument and the cure, before anything is computed."""
 
+import pytest
+
 from tests.conftest import ROOT
 from tests.integration.test_python_api import python
 
@@ -126,6 +128,7 @@ for call in {list(SENTENCES)!r}:
 """
 
 
+@pytest.mark.slow
 def test_arguments_that_cannot_be_are_named_with_the_cure():
     """In a new process, since the tests' own checks of types would come first."""
     result = python(CODE)

@@ -580,6 +580,7 @@ def test_an_unexpected_error_is_one_sentence_with_the_path_of_its_traceback(benc
     written.unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     result = smajax("init", kind, "--out", tmp_path / "mine")

@@ -99,6 +99,7 @@ def test_the_source_distribution_holds_what_building_and_testing_need(sources, t
     assert {name.partition("/")[0] for name in names if "/" in name} == FOLDERS
 
 
+@pytest.mark.slow
 def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
     environment = {key: value for key, value in os.environ.items() if key not in ("XLA_FLAGS", "EQX_ON_ERROR")}
@@ -124,6 +125,7 @@ def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, 
     assert (tmp_path / "installed" / "smajax" / "py.typed").is_file()
 
 
+@pytest.mark.slow
 def test_a_sweep_and_its_table_need_no_extra(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
     requirements = next((tmp_path / "installed").glob("*.dist-info")) / "METADATA"
@@ -141,6 +143,7 @@ def test_a_sweep_and_its_table_need_no_extra(wheel, tmp_path):
     assert 1 <= front <= designs == 4
 
 
+@pytest.mark.slow
 def test_the_types_of_all_public_names_are_complete(wheel, tmp_path):
     """What other packages leave without a type is not counted."""
     zipfile.ZipFile(wheel).extractall(tmp_path / "installed")

@@ -84,6 +84,7 @@ def test_few_blocks_are_not_executed_and_each_says_why():
 PAGES = [page for page in TEXTS if page != "README.md" and executed(page)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_the_blocks_of_a_page_run(page, tmp_path):
     tools = tmp_path / "tools"

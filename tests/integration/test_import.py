@@ -148,6 +148,7 @@ def test_answers_decide_and_the_choice_of_a_question_stays(log):
     assert_reads_back(log, Path("out"), result)
 
 
+@pytest.mark.slow
 def test_a_terminal_asks_until_an_answer_is_possible(log):
     command = [sys.executable, "-m", "smajax", "import", "log.csv", "--out", "a"]
     output = in_terminal(command, ["force", FORCE, "dead-wait", "dead-weight", "5 A", "5 V", "1 kg", "0.2 mm"])
@@ -202,6 +203,7 @@ def with_command(folder: Path) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder}:{os.environ['PATH']}"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(OF_OTHERS)))
 def test_raw_files_of_others_lead_to_a_fit_by_the_commands_of_the_page(shared, tmp_path, number):
     environment = with_command(tmp_path) | {"SMAJAX_DATA": str(shared / "data")}

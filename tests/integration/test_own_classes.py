@@ -100,6 +100,7 @@ class HardeningSpring(AbstractElasticLoad):
         return self.preload + self.stiffness * displacement + self.cubic * displacement**3
 
 
+@pytest.mark.slow
 def test_an_own_mechanism_is_simulated_from_python_and_from_a_rig_file():
     mechanism = HardeningSpring(stiffness=250.0, preload=2.0)
     plant = Plant(
@@ -138,6 +139,7 @@ class GuideContact(HeatEffect):
         return -self.strength * state.contraction * (state.temperature - context.environment.ambient)
 
 
+@pytest.mark.slow
 def test_an_own_effect_is_named_by_a_diagnosis(monkeypatch):
     shipped = {key: EFFECTS[key] for key in ("latent-heat", "coating", "encoder-gain")}
     monkeypatch.setattr(EFFECTS, "_shipped", shipped)  # three rivals instead of all, for the time of the test

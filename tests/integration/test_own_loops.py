@@ -28,6 +28,7 @@ def bench():
     return rig, inputs, exact + noise
 
 
+@pytest.mark.slow
 def test_an_optimiser_of_optax_finds_a_parameter(bench):
     optax = pytest.importorskip("optax")
     rig, inputs, measured = bench
@@ -53,6 +54,7 @@ def test_an_optimiser_of_optax_finds_a_parameter(bench):
     assert float(value) < 0.01
 
 
+@pytest.mark.slow
 def test_a_sampler_of_blackjax_takes_the_plant_as_a_log_density(bench):
     blackjax = pytest.importorskip("blackjax")
     rig, inputs, measured = bench

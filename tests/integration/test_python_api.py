@@ -190,6 +190,7 @@ def test_a_study_that_was_stopped_has_the_same_reason_after_loading(call, reason
     assert json.loads((tmp_path / "stopped" / "run.json").read_text("utf-8"))["reason"] == reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["tuning: ", "checking"])
 def test_a_tuning_that_is_stopped_is_saved_with_the_best_gains(text, tmp_path):
     controller = tmp_path / "controller.toml"
@@ -360,6 +361,7 @@ STUDIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_is_saved_and_loaded(name, files, tmp_path):
     study = STUDIES[name](files, tmp_path)
@@ -443,6 +445,7 @@ for call in {list(WRONG_TYPES)!r}:
     assert result.stdout.splitlines() == list(WRONG_TYPES.values()), result.stderr
 
 
+@pytest.mark.slow
 def test_models_are_compared(files):
     ranked = sma.compare(
         files / "rig.toml", files / "train.csv", holdout=files / "holdout.csv", models=["tanaka", "transfer-function"]

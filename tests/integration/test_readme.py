@@ -53,6 +53,7 @@ def test_links_exist():
     assert targets and not [t for t in targets if not t.startswith("http") and not (ROOT / t).exists()]
 
 
+@pytest.mark.slow
 def test_the_installation_commands_and_the_demo(bench):
     installs = [INSTALL.fullmatch(line) for line in readme_commands() if line.startswith("python3 -m venv")]
     assert len(installs) == 2 and all(installs)
@@ -63,6 +64,7 @@ def test_the_installation_commands_and_the_demo(bench):
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.slow
 def test_the_other_commands_run(bench):
     arguments = [shlex.split(line) for line in readme_commands() if not line.startswith("python3 -m venv")]
     assert {words[0] for words in arguments} == {"smajax"}
@@ -71,6 +73,7 @@ def test_the_other_commands_run(bench):
         assert result.returncode == 0, f"{shlex.join(words)}\n{result.stderr}"
 
 
+@pytest.mark.slow
 def test_the_python_code_runs(bench):
     for text in executed("python"):
         result = run([sys.executable, "-c", text], bench)

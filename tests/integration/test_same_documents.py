@@ -56,6 +56,7 @@ def run_both(words: list[str], program: str) -> None:
     subprocess.run([sys.executable, "-c", program], env=clean, check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_command_and_the_library_give_the_same_document(name, tmp_path):
     arguments, document, call = STUDIES[name]
@@ -75,6 +76,7 @@ def test_a_command_and_the_library_give_the_same_document(name, tmp_path):
 SWEEPS = {"flexural": "designs = 16", "dead-weight": "designs = 16\ngradients = true"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_a_command_and_the_library_give_the_same_sweep(name, tmp_path):
     shipped = tomlkit.parse(data_path("sweeps", f"{name}.toml").read_text("utf-8"))

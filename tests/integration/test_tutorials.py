@@ -26,6 +26,7 @@ EXPECTED_FILES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_page_runs_from_its_first_to_its_last_cell(page: Path, shared, tmp_path, monkeypatch):

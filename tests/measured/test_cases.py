@@ -20,6 +20,7 @@ def fitted(folder, recording="recording.csv", rig="rig.toml"):
     return document, {name: entry for name, entry in document["parameters"].items() if entry["free"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RIGHT)
 def test_fits_have_the_right_values_and_floors(shared, name):
     document, estimates = fitted(shared / "cases" / name)
@@ -39,6 +40,7 @@ def test_a_clock_changes_nothing_of_a_path(shared):
     assert timed["material.martensite_shift"]["estimate"] == pytest.approx(3.88, abs=0.1)
 
 
+@pytest.mark.slow
 def test_starts_from_which_nothing_transforms_are_left(shared):
     folder = shared / "cases" / "nothing-transforms"
     document, estimates = fitted(folder, "loops.csv")

@@ -134,6 +134,7 @@ def rows_of(name: str, tmp_path: Path, *words: str) -> dict[str, dict]:
     return {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
 
 
+@pytest.mark.slow
 def test_a_raw_log_of_a_force_sensor_is_fitted_and_another_is_forecast(shared, tmp_path):
     folder = shared / "data" / "guarneros-sma-force"
     rows = rows_of("measured/guarneros", tmp_path, str(folder / "AB0.csv"), str(folder / "AB1.csv"))
@@ -206,6 +207,7 @@ def test_a_forecast_uses_no_reading_after_its_origin(shared):
     assert np.abs(series[0][4] - series[1][4]).max() > 0.01
 
 
+@pytest.mark.slow
 def test_a_raw_log_with_repeated_stamps_is_fitted(shared, tmp_path):
     rows = rows_of("measured/dongsus", tmp_path, str(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv"))
     assert "983 of 5491 rows in which time does not increase dropped" in rows["rows"]["measured"]

@@ -165,6 +165,7 @@ def quick_rows(name: str, folder: Path, tmp_path: Path) -> dict[str, dict]:
     return {row["what"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
 
 
+@pytest.mark.slow
 def test_an_effect_forecasts_the_measured_cycles_better_than_the_base_model(shared, tmp_path):
     rows = quick_rows("measured/cyclic", shared / "data" / "asmada-cyclic", tmp_path)
     base = rows["base model: held out, plateau rows"]["numbers"]["percent"]
@@ -175,6 +176,7 @@ def test_an_effect_forecasts_the_measured_cycles_better_than_the_base_model(shar
     )  # one effect is not enough, and the table shows it
 
 
+@pytest.mark.slow
 def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared, tmp_path):
     rows = quick_rows("measured/superelastic", shared / "data" / "tamu-muscle-superelastic", tmp_path)
     base = rows["base model: held out, 40 degC"]["numbers"]["rmse_MPa"]
@@ -231,6 +233,7 @@ def test_the_moving_parts_of_a_log_are_detected(tmp_path, monkeypatch):
     np.testing.assert_array_equal(train | select, np.isfinite(parts["fitted"].channels["displacement"]))
 
 
+@pytest.mark.slow
 def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     target = tmp_path / "table.json"
     result = run_alone(
@@ -348,6 +351,7 @@ def test_effects_of_the_arm_are_absent_without_strength(monkeypatch):
     np.testing.assert_allclose(ThermocoupleContact().reading(series, {}, time), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_grains_set_their_latent_heat_free_and_creep(monkeypatch):
     """A wire of grains is simulated through a pulse: heat of the transformation delays it, and creep ends after it."""
     monkeypatch.syspath_prepend(str(ROOT))
@@ -397,6 +401,7 @@ def test_a_point_of_the_joint_fit_has_the_parameters_of_all_logs(tmp_path, monke
     assert without.values(np.zeros(without.size))[0][fitter.names.index("effects.coating.strength")] == 0.0
 
 
+@pytest.mark.slow
 def test_a_measured_log_of_another_course_is_predicted_quickly(shared, tmp_path):
     """The first log is cut before its second pulse, so that it is a log of another course."""
     lines = (shared / "data" / "bu-softlimb" / "test_c3_only.csv").read_text("utf-8").splitlines()

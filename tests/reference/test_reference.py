@@ -238,6 +238,7 @@ def test_kinematic_angle_of_two_percent():
     assert run.stress[:, 0] == pytest.approx(run.stress[:, 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frequency", "current", "expected", "within"),
     [
@@ -257,6 +258,7 @@ def test_peak_to_peak_angles_of_the_rotary_rig(frequency, current, expected, wit
     assert np.ptp(last) == pytest.approx(expected, abs=within)
 
 
+@pytest.mark.slow
 def test_heat_is_conserved_in_the_rotary_rig_with_latent_heat():
     heat = FAN._replace(latent_heat=1.56e8)
     time, currents = square_turns(1.0, 1.5, 2, rows=2000)
@@ -360,6 +362,7 @@ def test_testing_machine_is_converged():
     assert np.max(np.abs(runs[0] - runs[1])) < 1e-6 * np.ptp(runs[1])
 
 
+@pytest.mark.slow
 def test_rotary_is_converged():
     time = np.arange(1501) / 50
     currents = np.column_stack([levels(np.random.default_rng(s), 1501, 80, 0.3, 0.55) for s in (5, 6)])
@@ -422,6 +425,7 @@ def test_quantities_of_the_rig_files_reader():
         quantity("3 furlongs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "split"), [*((name, "train") for name in RECIPES), *CYCLES.items()])
 def test_shipped_recordings_are_what_their_recipe_makes(name, split):
     columns, exact = make(name, split)
@@ -435,6 +439,7 @@ def test_shipped_recordings_are_what_their_recipe_makes(name, split):
     assert np.ptp(exact / recipe.si) > 100 * recipe.noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
 def test_nominal_values_do_not_explain_the_recordings(name):
     for split in splits(name):
@@ -462,6 +467,7 @@ def test_agrees_in_start_and_sign_with_recordings_made_elsewhere(shared, case, c
     assert np.corrcoef(position, measured)[0, 1] > 0.5
 
 
+@pytest.mark.slow
 def test_a_rig_without_hidden_effects_agrees_with_the_exact_one():
     rig = read_rig(FOLDER / "dead-weight" / "rig.toml")
     channels = read_csv(FOLDER / "dead-weight" / "train.csv")
@@ -480,6 +486,7 @@ def test_a_rig_without_hidden_effects_agrees_with_the_exact_one():
         assert np.max(np.abs(displacement(rig, Hidden(**{name: size}), time, current) - exact)) > 2e-5, name
 
 
+@pytest.mark.slow
 def test_two_wires_without_hidden_effects_agree_with_the_exact_ones():
     rig = read_rig(FOLDER / "rotary" / "rig.toml")
     channels = read_csv(FOLDER / "rotary" / "train.csv")

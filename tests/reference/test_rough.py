@@ -53,6 +53,7 @@ def rough(name: str, seed: int = 0):
     return draw_background(np.random.default_rng(seed), 2 if name == "pulley" else 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
 @pytest.mark.parametrize(
     "hidden", [NOTHING, Hidden(latent_heat=1.5e8), Hidden(friction=4e7)], ids=["nothing", "latent heat", "friction"]
@@ -104,6 +105,7 @@ def test_heat_is_neither_lost_nor_made(name):
     assert total == pytest.approx(run.lost[-1], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_closed_cycle_gives_off_the_heat_that_it_takes_up():
     time = np.arange(4001) / 50.0
     current = 0.24 + 0.1 * np.sin(2.0 * np.pi * time / 10.0)

@@ -49,6 +49,7 @@ def run(*words: str, encoding: str = "utf-8", cwd: object = None) -> subprocess.
     )
 
 
+@pytest.mark.slow
 def test_a_console_that_cannot_encode_a_text_gets_escapes(tmp_path):
     for folder, encoding, shown in (
         ("für", "utf-8", "für"),
@@ -70,6 +71,7 @@ def test_a_wrong_command_line_is_one_sentence(words):
     assert "\x1b" not in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps a folder in which a process is")
 def test_absolute_paths_do_not_need_the_working_folder(tmp_path):
     gone, data = tmp_path / "gone", ROOT / "data" / "recordings" / "dead-weight"

@@ -84,6 +84,7 @@ def test_each_effect_has_an_equation_that_a_browser_shows():
     assert effect_equations.effect_equations().count("| [") == len(catalogue())
 
 
+@pytest.mark.slow
 def test_pictures_have_names_and_units_on_their_axes(tmp_path):
     pytest.importorskip("matplotlib", reason="the optional dependencies experiments are not installed")
     from docs.generate import pictures
@@ -144,6 +145,7 @@ def test_formulas_become_mathml_and_pages_load_nothing():
     )
 
 
+@pytest.mark.slow
 def test_the_output_of_a_command_is_what_it_prints():
     first = outputs.output_of("smajax init path --out bench", "a.md")
     assert first.startswith("```text\nWrote bench") and "bench/holdout.csv" in first

@@ -87,6 +87,7 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
         assert slip * float(knee.clutch.transmitted_torque(jnp.asarray(slip), jnp.asarray(0.4))) >= 0.0
 
 
+@pytest.mark.slow
 def test_figures_of_a_command(knee):
     """Force, stroke, temperature and energy from the trajectory of the knee."""
     springs, motor = (
@@ -188,6 +189,7 @@ def test_what_the_law_asks_is_continuous_where_both_lines_are_passed(knee):
         )
 
 
+@pytest.mark.slow
 def test_derivatives_and_batches(knee):
     names = ("joint.radius", "heat.h0", "material.austenite_finish", "clutch.torque", "command.duration")
     count, step = len(names), 1e-3

@@ -60,6 +60,7 @@ def test_a_wire_that_never_rests_cannot_be_cut(rig):
         split_recording(rig, FOLDER / "train.csv")
 
 
+@pytest.mark.slow
 def test_a_fit_needs_no_rest_since_its_model_runs_through(rig):
     recording = rig.read(FOLDER / "train.csv")
     train, holdout = split_for_fit(rig, recording)
@@ -85,6 +86,7 @@ def test_a_split_and_other_recordings_exclude_each_other(rig, rested):
         sma.fit(rig, [rested, rested], split=True)
 
 
+@pytest.mark.slow
 def test_commands_split_a_file(rig, rested, tmp_path):
     rig.write(tmp_path / "rig.toml")
     rested.write(tmp_path / "own.csv")

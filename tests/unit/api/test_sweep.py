@@ -7,6 +7,7 @@ from smajax.errors import Cancelled
 from smajax.recordings.datasets import data_path
 
 
+@pytest.mark.slow
 def test_a_stop_during_the_last_chunk_ends_the_sweep_there(tmp_path):
     shipped = data_path("sweeps", "flexural.toml")
     text = shipped.read_text("utf-8").replace("designs = 256", "designs = 4")

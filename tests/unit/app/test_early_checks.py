@@ -234,6 +234,7 @@ def test_a_registered_class_is_left_to_the_full_check(example, monkeypatch):
         assert "my-law" not in rig_classes().materials
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "code"),
     [

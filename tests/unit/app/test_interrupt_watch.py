@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 # numpy's solution of a large system is one call of another library; the handler of a signal runs after it.
 CALL = """
 import os, signal, threading, time
@@ -29,6 +31,7 @@ def code_of(presses: int, stopped: bool = False) -> int:
     return subprocess.run([sys.executable, "-c", CALL.format(count=presses, stopped=stopped)], timeout=120).returncode
 
 
+@pytest.mark.slow
 def test_the_second_ctrl_c_ends_a_process_in_a_call_of_another_library():
     assert code_of(2) == 130
     assert code_of(1) == 0, "a first Ctrl-C only ends nothing"

@@ -55,6 +55,7 @@ def run(folder, models, out, *more, rig="rig.toml"):
     return CliRunner().invoke(app, [*words, "--out", str(out), *more])
 
 
+@pytest.mark.slow
 def test_models_are_ranked_by_their_predictions(short, tmp_path):
     result = run(short, "brinson,transfer-function-one-pole,bouc-wen", tmp_path / "out")
     assert result.exit_code == 0, result.output
@@ -125,6 +126,7 @@ def test_model_that_diverges_is_left_out(short, tmp_path, monkeypatch):
     assert "Left out: bouc-wen" in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["transfer-function-two-poles", "hammerstein-wiener"])
 def test_rows_of_another_step_are_resampled_for_discrete_models(short, tmp_path, law):
     """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, with a note."""
@@ -146,6 +148,7 @@ def test_rows_of_another_step_are_resampled_for_discrete_models(short, tmp_path,
     assert errors[1] == pytest.approx(errors[0], rel=0.1)
 
 
+@pytest.mark.slow
 def test_parameters_that_few_rows_do_not_determine_are_listed(short, tmp_path):
     """Twelve rows in which the wire is only heated, and fewer rows than there are parameters."""
     for name in ("rig.toml", "holdout.csv"):
@@ -181,6 +184,7 @@ def test_fit_does_not_depend_on_the_sign_of_the_sensor(short, tmp_path):
     assert distance["kw"]["value"] == pytest.approx(-contraction["kw"]["value"], rel=2e-2)
 
 
+@pytest.mark.slow
 def test_law_without_a_free_offset_has_a_note(short, tmp_path):
     """A displacement with an offset of 0.4 mm, fitted with the sensor's offset held and free."""
     for part in ("train", "holdout"):
@@ -201,6 +205,7 @@ def test_law_without_a_free_offset_has_a_note(short, tmp_path):
     assert errors[1] < errors[0] and model["fitted"]["sensor.displacement_offset"]["value"] > 0.0
 
 
+@pytest.mark.slow
 def test_ridge_penalty_of_a_network_is_noted(short, tmp_path):
     result = run(short, "narx", tmp_path / "out")
     assert result.exit_code == 0, result.output
@@ -286,6 +291,7 @@ def rotary(folder, overlap: float) -> None:
     (folder / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
 
 
+@pytest.mark.slow
 def test_two_alternating_wires_are_one_input(tmp_path):
     rotary(tmp_path, 0.0)
     result = run(tmp_path, "bouc-wen,transfer-function-one-pole,heating-cooling", tmp_path / "out")

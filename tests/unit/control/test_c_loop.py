@@ -114,6 +114,7 @@ def steps_of_loop(settings, library, noise):
     return {name: table[:, i] for i, name in enumerate(plant.observable)}, np.array(commands)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 def test_the_c_header_gives_the_printed_metrics_for_ten_draws_of_the_noise(printed):
     """The rollout of the file, and ten cases of the check: each has the metrics that the command prints or keeps."""

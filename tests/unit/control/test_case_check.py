@@ -63,6 +63,7 @@ def test_cases_have_new_noise_and_vary_plant_start_and_gains(tmp_path):
     assert ambient_members(task, 3, {"environment.ambient": [1.0]}) == {} == ambient_members(task, 1, {})
 
 
+@pytest.mark.slow
 def test_a_check_has_the_worst_value_of_each_metric_and_its_case(tmp_path):
     """Its rollout without noise is that of ``evaluate_gains``; another plant, start or gain is another rollout."""
     task = task_of(tmp_path)
@@ -189,6 +190,7 @@ def test_an_alternative_that_fails_in_no_case_replaces_the_gains(tmp_path, monke
     assert judged.check.cases[0].digits == 2  # the third check
 
 
+@pytest.mark.slow
 def test_alternatives_cost_more_and_keep_the_limits(tmp_path):
     task = task_of(tmp_path)
     problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
@@ -205,6 +207,7 @@ def test_alternatives_cost_more_and_keep_the_limits(tmp_path):
     assert not tune(problem, {"tracking": 1.0}, {}).alternatives
 
 
+@pytest.mark.slow
 def test_a_limit_that_cases_miss_ends_with_the_numbers_and_exit_code_3(tmp_path, monkeypatch):
     """The limit lies between the overshoot of the file's own rollout and that of the worst case."""
     levels = NOISY.replace('levels = ["4 mm", "2 mm"]', 'levels = ["3 mm", "5 mm"]')

@@ -262,6 +262,7 @@ def test_a_rollout_is_the_simulation_under_its_own_commands(rig, driven):
         )
 
 
+@pytest.mark.slow
 def test_derivatives_through_a_minute_of_closed_loop(driven):
     """60 s at 50 Hz: forward and reverse mode against central differences, for gains, the load and the wire's own parameters."""
     scenario = Scenario.noiseless(stairs(60.0), changes={"load.mass": np.where(np.arange(3000) < 1500, 0.2, 0.21)})
@@ -286,6 +287,7 @@ def test_derivatives_through_a_minute_of_closed_loop(driven):
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_controllers_with_flags(driven):
     """The states of PPID and feedforward contain flags, which have no derivative."""
     envelope = Envelope(*map(jnp.asarray, (4e-3, 12.0, -3.0, 4e-3)))
@@ -340,6 +342,7 @@ def held_back(driven, reference, limiter):
     return 1e3 * np.asarray(result.channels["displacement"]), np.asarray(result.command)
 
 
+@pytest.mark.slow
 def test_nothing_winds_up_against_a_temperature_limiter(driven):
     """The limiter allows the wire less than 8.3 mm for 25 s; the reference then falls, and the wire follows at once."""
     limiter = TemperatureLimiter(pid(0.1, 0.0, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(93.0))
@@ -355,6 +358,7 @@ def test_nothing_winds_up_against_a_temperature_limiter(driven):
         np.testing.assert_allclose(limited, unlimited, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_loop_with_an_active_temperature_limiter(driven):
     """In the gains of the controller, which matter after the limitation, and of the limiter."""
     reference = np.where(np.arange(400) < 300, 8.3e-3, 2e-3)
@@ -405,6 +409,7 @@ def pair():
     return SampledPlant.of(plant, PERIOD), loop, scenario
 
 
+@pytest.mark.slow
 def test_co_contraction_is_a_gain_of_two_wires(pair):
     """The rollout is that of the exact simulator; the derivative that of central differences."""
     driven, loop, scenario = pair
@@ -720,6 +725,7 @@ def test_a_temperature_limiter_with_its_own_timeout_is_not_exported():
             export()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("wires", [1, 2])
@@ -766,6 +772,7 @@ def test_the_c_header_of_a_controller_with_an_active_temperature_limiter(tmp_pat
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_the_c_header_does_the_same(tmp_path, name):
@@ -838,6 +845,7 @@ def test_gains_have_names_and_units():
     assert controller_document(law, dict.fromkeys(gains(law), "-"))["kind"] == "bpid"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 @pytest.mark.parametrize(("exponent", "gain"), [(1.0, 0.0), (1.0, 0.3), (2.0, 0.3)])
 def test_the_c_header_of_an_observer(tmp_path, exponent, gain):

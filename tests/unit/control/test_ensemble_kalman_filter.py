@@ -133,6 +133,7 @@ def test_a_measurement_that_drops_out_is_skipped():
     assert np.sqrt(np.mean(errors[1][missing] ** 2)) < 4.0 and np.sqrt(np.mean(errors[1][900:] ** 2)) < 1.0
 
 
+@pytest.mark.slow
 def test_a_temperature_limiter_by_an_ensemble_in_a_rollout():
     """The wire cools more slowly than the filter's plant, and a thermocouple lags; derivatives are those of differences."""
     kalman_filter = filter_of("voltage", "temperature", members=8)

@@ -110,6 +110,7 @@ def test_on_a_linear_plant_it_is_the_exact_kalman_filter(delay):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, command", [("dead-weight", [0.3]), ("bias-spring", [3.7]), ("rotary", [0.4, 0.1])])
 def test_its_jacobian_is_that_of_differences(kind, command):
     """While wires transform forwards and backwards, for all estimated numbers and three mechanisms."""
@@ -181,6 +182,7 @@ def benches(instruments: Instruments, commands, starts):
     return measured, np.asarray(temperature)
 
 
+@pytest.mark.slow
 def test_temperature_from_current_voltage_and_position():
     """With noisy, quantised and delayed instruments the error is below that of the plant, and the intervals are right."""
     instruments = instruments_of(current=(2e-3, 1e-3, 1), voltage=(10e-3, 5e-3, 1), displacement=(2e-5, 1e-5, 2))
@@ -229,6 +231,7 @@ def test_temperature_from_current_voltage_and_position():
     )
 
 
+@pytest.mark.slow
 def test_a_measurement_that_drops_out_is_skipped():
     """Without one instrument it is a filter without that instrument; without all it is the prediction alone."""
     system = plant_of("dead-weight")
@@ -274,6 +277,7 @@ def test_a_measurement_that_drops_out_is_skipped():
     )
 
 
+@pytest.mark.slow
 def test_it_estimates_the_convection_and_the_ambient_temperature():
     """With a lagging thermocouple, within the deviations of the filter."""
     system, lag = plant_of("dead-weight"), 0.6
@@ -298,6 +302,7 @@ def test_it_estimates_the_convection_and_the_ambient_temperature():
     assert deviations[0] < 3.0 and deviations[1] < 12.0 and abs(estimate[0][1] - float(system.plant.heat.h0)) > 10.0
 
 
+@pytest.mark.slow
 def test_a_controller_by_the_filter_in_a_rollout():
     """In other surroundings the loop is nearly as good as with an exact encoder, and better than with a delayed one."""
     instruments = instruments_of(voltage=(2e-3, 0.0), displacement=(1e-4, 0.0, 2))
@@ -332,6 +337,7 @@ def test_a_controller_by_the_filter_in_a_rollout():
         )
 
 
+@pytest.mark.slow
 def test_a_temperature_limiter_by_the_filter_in_a_rollout():
     """The wire cools more slowly than the filter's plant, and a thermocouple lags; derivatives are those of differences."""
     instruments = instruments_of(0.6, voltage=(2e-3, 1e-3, 1), temperature=(0.5, 0.0))

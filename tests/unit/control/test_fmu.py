@@ -124,6 +124,7 @@ def module(model):
 EFFECTS = {"latent-heat": 1e8, "backlash": 1e-4, "coulomb-friction": 2e7}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bias-spring", "rotary"])
 def test_a_plant_in_numpy_takes_the_same_steps(name):
     """Plants with implicit steps, one of them with effects that have states."""

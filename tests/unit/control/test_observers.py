@@ -93,6 +93,7 @@ def test_without_a_tilt_the_angle_is_the_integral_of_the_rate():
     assert np.isfinite(jax.grad(lambda r: angle_filter.step(state, r).mean[0])(rate))
 
 
+@pytest.mark.slow
 def test_a_temperature_limiter_without_a_thermometer_uses_an_observer():
     """The two coefficients of the observer are those of the wire's own heat balance with n = 1."""
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
@@ -187,6 +188,7 @@ def test_instruments_have_lag_delay_quantisation_and_noise():
     assert max(abs(np.corrcoef(row[1:], row[:-1])[0, 1]) for row in noise) < 0.06
 
 
+@pytest.mark.slow
 def test_a_temperature_limiter_measures_by_its_thermocouple():
     """A slow thermocouple lets the wire exceed the limit, an observer does not; derivatives are those of differences."""
     system = SampledPlant.of(read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").plant, 0.02)

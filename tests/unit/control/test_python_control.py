@@ -40,6 +40,7 @@ def sampled_loop(plant, gains):
     return system, loop_of(pid(kp, ki, kd, tf=FILTER, low=-1e9, high=1e9, dt=DT))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_margins(case):
     plant, controller = transfer_functions(*CASES[case])

@@ -52,6 +52,7 @@ def test_an_observer_that_heats_the_wire_without_power_is_refused(a2):
         ThermalObserver(*map(jnp.asarray, (12.0, a2, 1.0, 20.0, 0.2)), period=0.05)
 
 
+@pytest.mark.slow
 def test_a_plant_and_a_reference_are_enough(plant, sampled):
     """The defaults are an exact sensor, no limiter, no allocation, and rest at the channel's own value."""
     result = rollout(plant, loop_of(), REFERENCE)
@@ -152,6 +153,7 @@ def last_position(sampled):
     return position
 
 
+@pytest.mark.slow
 def test_derivatives_in_both_modes_are_those_of_differences(sampled):
     """With respect to a gain and a parameter of the plant, under jit; and the same from a plant that is not sampled."""
     position, at = last_position(sampled), jnp.asarray([400.0, 0.2])
@@ -178,6 +180,7 @@ def test_gains_are_batched_by_vmap(sampled):
     assert batch.status.tolist() == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_a_batch_that_was_traced_before_is_differentiable(sampled):
     """As in the solvers of optimistix, which trace their function once and differentiate the traced program."""
     gains = jnp.asarray([200.0, 300.0])

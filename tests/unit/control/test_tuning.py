@@ -81,6 +81,7 @@ def hip_problem(dt=0.05, seconds=100.0, gains=(0.00518, 1.178e-4, 0.05697), **li
     return TuningProblem.of(hip("flexion", dt), loop, Scenario.noiseless(np.ones(round(seconds / dt))), bounds)
 
 
+@pytest.mark.slow
 def test_the_hip_settles_sooner_than_by_a_population():
     """Differential evolution needs 3,660 rollouts (experiments/hip_gains.py); published are 56.8 s and 6.9 %."""
     result = tune(hip_problem(), {}, {"overshoot": 0.02}, settle=True)
@@ -139,6 +140,7 @@ def test_a_limit_is_kept_at_a_higher_cost():
     assert float(violated.max()) > 0.5  # the limit binds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("high", "gains", "limits"),
     [
@@ -210,6 +212,7 @@ def test_the_same_minimum_from_other_starts():
         assert max(values) / min(values) < 1.1, name
 
 
+@pytest.mark.slow
 def test_members_have_equal_weights():
     """Gains that are tuned for slow and fast plants have a smaller cost over all of them than gains for the middle one."""
     problem, middle = hip_problem(seconds=60.0), 18.676
@@ -227,6 +230,7 @@ def test_members_have_equal_weights():
     assert together.rollouts % 3 == 0 and worst[1] < worst[0]
 
 
+@pytest.mark.slow
 def test_gains_do_not_overfit_one_draw_of_the_noise():
     """Gains are tuned for several draws of the noise, the scenario's own first; a sensor without noise has a single one."""
     quiet = hip_problem(dt=0.2, seconds=40.0)
@@ -372,6 +376,7 @@ def run(tmp_path, content, *more, rig=RIG, out="out"):
     )
 
 
+@pytest.mark.slow
 def test_the_command_writes_all_files(tmp_path, monkeypatch):
     robust = '[robust]\ndraws = 3\ncheck = 8\nvary = { "environment.ambient" = ["15 degC", "25 degC"] }\n'
     limits = '[limits]\ntemperature = "110 degC"\n[sensor]\nnoise = "5 um"\n'
@@ -416,6 +421,7 @@ def read_model(path):
     return {v["name"]: v.get("start") for v in variables}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -454,6 +460,7 @@ def test_an_impossible_task_ends_with_the_best_gains_and_a_problem(tmp_path, cha
     assert sentence in "".join(doc["problems"]) and (tmp_path / "out" / "controller.h").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("enough", [0.1, math.inf])
 def test_unstable_gains_are_tuned_again_with_more_weight_of_effort(tmp_path, monkeypatch, enough):
     """The weight of the effort increases until the gains are stable; if that never happens, the given weights remain."""
@@ -483,6 +490,7 @@ def test_unstable_gains_are_tuned_again_with_more_weight_of_effort(tmp_path, mon
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "most"),
     [
@@ -623,6 +631,7 @@ def test_each_of_two_wires_has_its_own_largest_command(tmp_path):
         read_controller(tmp_path / "c.toml", rig)
 
 
+@pytest.mark.slow
 def test_a_feedforward_is_fitted_and_its_misfit_reported(tmp_path, monkeypatch):
     """On a dead weight, whose slow loop is steep for the operator, the misfit is reported; the tuning is replaced."""
     kept = TuningResult(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, np.inf, 1, ())
@@ -722,6 +731,7 @@ def test_worst_margins_of_draws():
     )
 
 
+@pytest.mark.slow
 def test_a_draw_that_is_unstable_when_linearised_is_a_problem(tmp_path, monkeypatch):
     """Its rollout settles, as limits of the command may allow; it is counted, fails, and makes the result infeasible."""
     (tmp_path / "c.toml").write_text(FILE + '[robust]\ncheck = 8\nvary = { "load.mass" = ["150 g", "250 g"] }\n')
@@ -753,6 +763,7 @@ def test_a_draw_that_is_unstable_when_linearised_is_a_problem(tmp_path, monkeypa
     assert doc["problems"] == [output] and doc["feasible"]
 
 
+@pytest.mark.slow
 def test_the_effect_of_pulses_is_compared_with_their_mean(tmp_path, monkeypatch):
     kept = TuningResult(np.zeros(2), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: kept)
@@ -783,6 +794,7 @@ def test_a_duty_above_one_is_refused(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_limit_that_cannot_be_kept_does_not_violate_the_others(tmp_path):
     """No wire settles within 50 ms; the start gains keep the limit on overshoot, and so do the tuned gains."""
     limits = '[limits]\nsettling = "0.05 s"\novershoot = "20 %"\n'
@@ -979,6 +991,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", BAD)
 def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change):
     text = FILE.replace(*change)

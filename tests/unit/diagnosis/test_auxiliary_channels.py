@@ -74,6 +74,7 @@ def test_saturated_channel_is_left_out_where_another_is_observed(folder):
     assert without_channels(settings, ["temperature"]) == rig.fit
 
 
+@pytest.mark.slow
 def test_thermocouple_lag_is_named_although_temperature_is_not_observed(folder, tmp_path):
     """Recordings by the exact reference, with a thermocouple that lags and has a gain of 1.02 and an offset of 1.5 K."""
     rig, rng = reference_rig(folder / "rig.toml"), np.random.default_rng(3)

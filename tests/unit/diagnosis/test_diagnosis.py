@@ -171,6 +171,7 @@ def test_hidden_latent_heat_is_named_and_the_diagnosed_rig_predicts_to_the_noise
     assert CliRunner().invoke(app, ["report", str(demo)]).exit_code == 0
 
 
+@pytest.mark.slow
 def test_effects_of_the_rig_file_are_not_candidates(demo, tmp_path):
     """Noise of the rig file is not estimated, and rows that were dropped in reading are listed."""
     source = data_path("recordings", "dead-weight-unexplained")
@@ -231,6 +232,7 @@ def test_document_matches_its_schema(demo, schema):
         jsonschema.validate({"schema": "smajax.diagnosis/2", "verdict": "maybe"}, schema)
 
 
+@pytest.mark.slow
 def test_report_in_a_browser(demo, tmp_path):
     """The page after a browser has drawn it: all figures, the verdict on top, no request to the network."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -355,6 +357,7 @@ def test_largest_gain_is_trusted_near_the_noise_only(evaluator, fitted):
     )
 
 
+@pytest.mark.slow
 def test_search_on_fewer_samples_has_the_same_optimum(evaluator, fitted, monkeypatch):
     problem = evaluator.problem
     start = EffectSet().with_effect("latent-heat", {"effects.latent-heat.strength": 3e7})
@@ -445,6 +448,7 @@ def test_expected_chi2_includes_the_uncertainty_of_the_parameters(evaluator, fit
     assert 1.0 <= expected_reduced_chi2(evaluator, fitted, 1) < 1.1
 
 
+@pytest.mark.slow
 def test_nonparametric_term_locates_missing_heat(evaluator, fitted):
     scores = evaluator.scores(fitted)
     shares = evaluator.stage_shares(fitted, scores)
@@ -457,6 +461,7 @@ def test_nonparametric_term_locates_missing_heat(evaluator, fitted):
     assert term.train_chi2 < 0.8 * evaluator.problem.reduced_chi2(fitted.residual, 0)
 
 
+@pytest.mark.slow
 def test_next_experiment_stays_within_limits_and_distinguishes_effects(evaluator, fitted):
     problem = evaluator.problem
     train = problem.splits[0].recordings[0]
@@ -480,6 +485,7 @@ def _first(problem):
     return jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
 
 
+@pytest.mark.slow
 def test_cause_is_selected_although_the_base_fit_does_not_converge(evaluator, monkeypatch):
     """Each effect is refitted from the rig's own values at its typical strength; without a cause, nothing is selected."""
     evaluator.problem.wait_for_compilation()
@@ -515,6 +521,7 @@ def planted(problem: DiagnosisProblem, fitted: Refit, effect_set: EffectSet, par
     return problems
 
 
+@pytest.mark.slow
 def test_onset_time_is_refined_where_the_cost_is_flat(evaluator, fitted, monkeypatch):
     """The airflow changes while the wire is cold: the selection recording determines the onset, the training hardly."""
     problem, name = evaluator.problem, "effects.airflow-change.instant"
@@ -541,6 +548,7 @@ def test_onset_time_is_refined_where_the_cost_is_flat(evaluator, fitted, monkeyp
     assert refine_onsets(evaluator, evaluator.evaluate(fitted)).refit is fitted
 
 
+@pytest.mark.slow
 def test_onset_time_is_scanned_over_the_whole_recording(evaluator, fitted, monkeypatch):
     """A search that starts far from the onset ends elsewhere; one at the noise, or without an onset, is not scanned."""
     problem = evaluator.problem

@@ -94,6 +94,7 @@ def problem_with(rig, recordings, effect_set: EffectSet) -> tuple[DiagnosisProbl
     return DiagnosisProblem(rig.plant, simulated, rig.fit, interpolation=rig.interpolation), simulated
 
 
+@pytest.mark.slow
 def test_all_parameters_are_free_and_have_intervals(rig, recordings, monkeypatch):
     problem, _ = problem_with(rig, recordings, PAIR)
     problem.wait_for_compilation()
@@ -132,6 +133,7 @@ def test_all_parameters_are_free_and_have_intervals(rig, recordings, monkeypatch
     assert jacobian.shape == (len(residual), problem.size + len(FREE)) and compiled == [2 * SLOTS]
 
 
+@pytest.mark.slow
 def test_effect_of_a_user_is_named(rig, recordings):
     truth = EffectSet(("periodic-draught",), (("effects.periodic-draught.strength", 0.15),))
     problem, simulated = problem_with(rig, recordings, truth)

@@ -30,6 +30,7 @@ def test_places_of_a_stop_are_shares_of_the_recorded_motion():
     assert float(effects["hard-stop"].place) == 5e-3
 
 
+@pytest.mark.slow
 def test_a_hard_stop_is_named_first(tmp_path):
     """A plateau with noise on it, nothing clipped exactly, of a wire that the stop holds."""
     rng, truth = np.random.default_rng(3), reference_rig(FOLDER / "rig.toml").changed(h0=1.04, austenite_shift=1.0)

@@ -116,6 +116,7 @@ def test_a_wrong_law_is_named_and_no_effect(wrong_law, tmp_path):
     assert load(tmp_path / "found").law == json.loads(json.dumps(law))
 
 
+@pytest.mark.slow
 def test_a_missing_effect_is_no_wrong_law(rig):
     hidden = {"latent_heat": 8e7}
     study = diagnosed(rig, first_rows(record(hidden, np.random.default_rng(1))), laws=True)
@@ -123,6 +124,7 @@ def test_a_missing_effect_is_no_wrong_law(rig):
     assert study.law["error_with_effects_over_noise"] < 1.3
 
 
+@pytest.mark.slow
 def test_without_more_than_noise_no_law_is_fitted(rig):
     study = diagnosed(rig, first_rows(record({}, np.random.default_rng(2))))
     assert study.verdict == "nothing-missing" and study.law is None

@@ -30,6 +30,7 @@ def problem_of(monkeypatch):
     return build
 
 
+@pytest.mark.slow
 def test_a_recorded_fan_is_a_candidate_and_the_inputs_keep_their_shape(problem_of):
     rows = 200
     surroundings = {"ambient": np.linspace(20.0, 24.0, rows), "fan": np.repeat([0.0, 0.5], rows // 2)}
@@ -43,6 +44,7 @@ def test_a_recorded_fan_is_a_candidate_and_the_inputs_keep_their_shape(problem_o
     assert np.all(np.isnan(inputs.before[..., 1:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fan", [np.full(200, 0.5), None])
 def test_a_fan_that_never_changes_or_is_not_recorded_is_no_candidate(problem_of, fan):
     _, problem = problem_of({} if fan is None else {"fan": fan})

@@ -103,6 +103,7 @@ def test_candidates_next_to_a_structure_are_the_facts_or_else_the_best_of_the_fi
     assert not are_settled(state) and candidate_keys(state) == ("slack", "creep", "radiation")
 
 
+@pytest.mark.slow
 def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
     """The variant with neither predicts as the rig without structure; the others do not."""
     _, _, problem = rough
@@ -188,6 +189,7 @@ def test_document_and_page_have_structure_and_budget(rough, diagnosis):
     assert "Error budget of displacement" in page and '"waterfall"' in page.replace(" ", "")
 
 
+@pytest.mark.slow
 def test_fits_to_both_splits_decide_where_the_training_split_does_not_determine_the_structure(
     rough, structured, diagnosis, monkeypatch
 ):

@@ -105,6 +105,7 @@ def errors(problem: Problem, vector: np.ndarray) -> list[float]:
     return [abs(x * u.scale / TRUTH[u.name] - 1) for x, u in zip(vector, problem.unknowns, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_populations_find_the_truth(problem, search):
     result = search(problem, seed=1, budget=1200)
@@ -116,6 +117,7 @@ def test_populations_find_the_truth(problem, search):
     assert result.cost == pytest.approx(reached, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_gradient_finds_the_truth_with_far_fewer_simulations(problem):
     steps = []
     result = run_gradient_search(problem, seed=1, progress=lambda step, cost: steps.append(cost))
@@ -141,6 +143,7 @@ def test_gradient_counts_starts_and_recordings(two_recordings, monkeypatch):
     assert result.simulations == result.history[-1][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_same_seed_same_search(problem, bowl, search):
     first, again, other = (search(problem, seed=s, budget=300) for s in (5, 5, 6))
@@ -212,6 +215,7 @@ def test_genetic_algorithm_keeps_its_best(problem, bowl):
     assert len(progress) == 100 and np.all(np.diff(progress) <= 0) and progress[-1] < 0.01 * progress[0]
 
 
+@pytest.mark.slow
 @needs("evosax")
 def test_evosax_counts_whole_generations(problem, bowl):
     assert evosax_cma(problem, seed=0, generations=9).simulations == 9 * 16

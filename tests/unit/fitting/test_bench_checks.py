@@ -78,6 +78,7 @@ SPOILED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SPOILED)
 def test_a_spoiled_recording_gets_the_sentence_on_its_fault(rig, recording, name):
     changes, words = SPOILED[name]
@@ -104,6 +105,7 @@ def test_a_reversed_sensor_with_an_offset_gets_both_cures(rig, recording):
     assert offset.values[0] == pytest.approx(12.4e-3, abs=5e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", sorted(path.parent.name for path in data_path("recordings").glob("*/rig.toml")))
 def test_no_shipped_recording_is_in_doubt(folder):
     folder = data_path("recordings", folder)
@@ -154,6 +156,7 @@ def few(rig):
     return dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, free=free, starts=1))
 
 
+@pytest.mark.slow
 def test_a_fit_of_an_offset_is_a_failure_without_intervals_and_auto_fits_it(few, recording, tmp_path):
     shifted = spoiled(recording, displacement=lambda v: v + 12.4e-3)
     study = sma.fit(few, shifted)
@@ -177,6 +180,7 @@ def test_a_fit_of_an_offset_is_a_failure_without_intervals_and_auto_fits_it(few,
     assert free.rmse["displacement"]["train"] < 1.1 * sma.fit(few, recording).rmse["displacement"]["train"]
 
 
+@pytest.mark.slow
 def test_recordings_with_different_offsets_have_one_each(few, recording):
     recordings = [
         dataclasses.replace(spoiled(recording, displacement=lambda v, c=c: v + c), name=f"{k}.csv")
@@ -193,6 +197,7 @@ def test_wrong_parameters_that_fit_a_wrong_unit_have_no_intervals(few, recording
     assert study.exit_code == 3 and "displacement is a tenth of" in str(study).partition("Fitted")[0]
 
 
+@pytest.mark.slow
 def test_a_fit_with_several_parameters_at_bounds_far_above_the_noise_is_a_failure(rig, recording):
     """Bounds that exclude the truth: no finding is needed for the failure."""
     bounds = {"material.austenite_shift": (20.0, 40.0), "material.max_transformation_strain": (0.001, 0.002)}
@@ -209,6 +214,7 @@ def smajax(*words):
     return CliRunner().invoke(cli.app, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_check_and_fit_begin_with_what_the_recording_shows(few, recording, tmp_path):
     few.write(tmp_path / "rig.toml")
     spoiled(recording, displacement=lambda v: v + 12.4e-3).write(tmp_path / "own.csv")
@@ -228,6 +234,7 @@ def test_check_and_fit_begin_with_what_the_recording_shows(few, recording, tmp_p
     assert "sensor.displacement_offset" in (tmp_path / "auto" / "rig.toml").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_no_recording_of_others_is_in_doubt(shared):
     for path in sorted((shared / "blind").glob("*/rig.toml")):
         rig = read_rig(path, drop_misplaced=True)

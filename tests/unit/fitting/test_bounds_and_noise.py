@@ -49,6 +49,7 @@ def fitted(plant, recording, **settings):
     return result, {e.name: e for e in result.estimates}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upper", [1.0, 1e6, 1e12])
 def test_the_width_of_the_bounds_decides_neither_a_bound_nor_an_interval(upper):
     plant, exact = heated(PowerDrive(gain=0.03), "power", 20.0)
@@ -77,6 +78,7 @@ def with_a_soft_spring():
     return parameters.replace(plants.bias_spring(), {"spring.stiffness": 5.0}), {"voltage": 3.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "name", "start", "channel", "noise"),
     [
@@ -118,6 +120,7 @@ def test_a_parameter_pressed_against_its_bound_is_there_also_between_close_bound
     assert not np.any(away)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "offset"), [(0.25, 0.0), (0.0625, 0.0), (5.0 / 1023.0 * 100.0, -50.0)])
 def test_the_noise_floor_of_a_coarse_thermometer_is_its_rounding(step, offset):
     """A thermocouple chip of 0.25 K, one of 1/16 K, and a 10 bit converter behind an analogue sensor of 100 K/V."""
@@ -158,6 +161,7 @@ starts = 1
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("channel", "column", "to_numbers", "step"),
     [
@@ -196,6 +200,7 @@ def test_the_floor_is_the_step_of_the_numbers_in_the_file(channel, column, to_nu
     assert result.rmse(channel) < 1.2 * result.noise_floor[channel]
 
 
+@pytest.mark.slow
 def test_noise_above_the_rounding_is_the_floor():
     plant, exact = heated(DutyDrive(supply=6.0, lead_resistance=4.0), "duty", 0.3, rows=300, step=0.05)
     noisy = exact.channels["temperature"] + np.random.default_rng(0).standard_normal(len(exact))

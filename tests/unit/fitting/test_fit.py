@@ -126,6 +126,7 @@ def test_residual_is_the_noise_in_sample_and_out(result):
     assert result.rmse("displacement", "select") is None
 
 
+@pytest.mark.slow
 def test_a_fit_s_residual_is_measured_minus_model_like_its_response_s(result):
     """The solver's residual, the response's and the one that pages show have one sign."""
     problem, response = result.problem, result.responses[0]
@@ -137,6 +138,7 @@ def test_a_fit_s_residual_is_measured_minus_model_like_its_response_s(result):
     assert np.max(np.abs(weighted)) > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recordings", [1, 2])
 def test_simulation_and_derivatives_as_two_programs_say_what_one_does(recordings):
     problem = build_problem(
@@ -181,6 +183,7 @@ def test_a_search_with_a_primal_function_takes_the_same_steps():
     np.testing.assert_allclose(led.result().points, [[1.0, 1.0]], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_profile_agrees_with_the_interval(result):
     profile = profile_likelihood(result, "material.max_transformation_strain")
     estimate = next(e for e in result.estimates if e.name == "material.max_transformation_strain")
@@ -304,6 +307,7 @@ def test_a_parameter_at_its_bound_is_held_there_and_said_so():
     assert not estimates["material.max_transformation_strain"].at_bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("away", "held"), [(1e-7, True), (1e-4, False)])
 def test_what_comes_near_a_bound_that_the_data_press_against_is_there(result, away, held):
     """Steps towards a bound may grow ever shorter before they reach it."""
@@ -319,6 +323,7 @@ def test_what_comes_near_a_bound_that_the_data_press_against_is_there(result, aw
     assert estimates[0].at_bound == held and (estimates[0].lower95 is None) == held
 
 
+@pytest.mark.slow
 def test_an_end_that_its_own_steps_cannot_simulate_gives_way_to_the_next_best(monkeypatch):
     """Sound on the steps of the fit, and not on those that the plant found asks for: here that is said of the first that is asked."""
     convections, failing = [], 1
@@ -343,6 +348,7 @@ def test_an_end_that_its_own_steps_cannot_simulate_gives_way_to_the_next_best(mo
     assert none.responses[0].status is SimulationStatus.overheated
 
 
+@pytest.mark.slow
 def test_recordings_share_some_parameters_and_own_others():
     made = [
         recorded(TRUTH, seed=s, rows=r, name=f"{s}.csv", offset=o)
@@ -386,6 +392,7 @@ def test_a_parameter_without_any_effect_is_named_alone(unclear):
     assert estimate.lower95 is None
 
 
+@pytest.mark.slow
 def test_free_initial_temperature_is_found():
     made = recorded(TRUTH, rows=200)
     warm = parameters.replace(plants.dead_weight(), {"initial.temperature": 45.0})
@@ -429,12 +436,14 @@ def test_fits_repeat_and_scaling_of_noise_changes_nothing():
         assert a.upper95 - a.lower95 == pytest.approx(b.upper95 - b.lower95, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_starts_that_all_fail_end_with_a_reason():
     impossible = eqx.tree_at(lambda p: p.drive.gain, plants.dead_weight(), jnp.asarray(1e6))
     with pytest.raises(NumericsError, match=r"at the start values: .*wire.diameter"):
         fit(impossible, [recorded({})], Settings(), step=0.04)
 
 
+@pytest.mark.slow
 def test_a_search_takes_no_step_into_states_in_which_the_simulation_fails():
     recording, settings = recorded({}), Settings(free=("drive.gain",))
     problem = build_problem(plants.dead_weight(), [recording], settings, step=0.04)
@@ -456,6 +465,7 @@ ENDS = (
 )
 
 
+@pytest.mark.slow
 def test_ends_of_a_transformation_that_a_search_lets_cross_change_places():
     """The plant is the same on the other side, and what a fit gives can be read again."""
     problem = build_problem(plants.dead_weight(), [recorded({})], Settings(free=ENDS), step=0.04)

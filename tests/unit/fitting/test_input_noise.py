@@ -23,6 +23,7 @@ def test_noise_is_distinguished_from_the_signal_of_a_column():
     assert row_noise(np.where(np.arange(3000) % 7 == 0, np.nan, sine)) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.4])
 def test_warning_states_how_far_noise_in_the_temperatures_biases_a_fit(noise):
     """The same rows fitted without and with the noise are as far apart as the sentence says, twofold."""

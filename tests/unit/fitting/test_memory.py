@@ -58,6 +58,7 @@ def test_long_recordings_are_fitted_within_two_gigabytes(plant, rows, step):
     assert f"{memory.steps:,} steps" in memory.sentence()
 
 
+@pytest.mark.slow
 def test_a_fit_of_ten_minutes_takes_less_than_a_gigabyte(tmp_path):
     """3,000 rows, 0.2 s apart, through the command line, with everything that is compiled, written and drawn."""
     rig = shipped_rig("dead-weight")
@@ -100,6 +101,7 @@ def test_what_will_be_done_is_said_before():
     assert "2.0 GB of memory are free: cut the recordings into parts, sample them more coarsely" in refused
 
 
+@pytest.mark.slow
 def test_parts_change_no_start():
     settings = Settings(free=FREE, observe=("displacement",), starts=3)
     problem = build_problem(plants.dead_weight(), [made(100, 0.05)], settings)
@@ -109,6 +111,7 @@ def test_parts_change_no_start():
     assert simulations == same
 
 
+@pytest.mark.slow
 def test_a_fit_in_parts_has_the_result_of_one_as_a_whole(monkeypatch):
     plant, settings = plants.stress_path(), Settings(
         free=("material.max_transformation_strain",), observe=("strain",), starts=2

@@ -228,6 +228,7 @@ def fitted():
     return fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04, solver=BoundedLevenbergMarquardt(1e-13))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS[:3], ids=NAMES[:3])
 def test_a_fit_by_an_optimistix_solver_has_the_default_s_estimates(fitted, solver):
     result = fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04, solver=solver)
@@ -251,6 +252,7 @@ def test_a_fit_s_own_solver_runs_under_optimistix(fitted):
     np.testing.assert_allclose(values, [e.estimate for e in fitted.estimates], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_study_whose_solver_diverged_is_no_success():
     """Gauss-Newton without damping leaves these start values at once; it was a success with them as estimates."""
     rig = sma.read_rig(data_path("recordings", "dead-weight", "rig.toml"))
@@ -270,6 +272,7 @@ def test_a_solver_that_ends_away_from_the_minimum_has_not_converged():
     assert result.statuses == [SolverStatus.not_stationary]
 
 
+@pytest.mark.slow
 def test_a_study_whose_solver_ended_early_is_no_success():
     """It was a success, with an RMSE of several times that at the minimum."""
     rig = sma.read_rig(data_path("recordings", "dead-weight", "rig.toml"))

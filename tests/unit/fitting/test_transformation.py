@@ -47,6 +47,7 @@ def changed(plant, **values):
     return parameters.replace(plant, {f"material.{k}": jnp.asarray(v) for k, v in values.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("displaced", [-140.0, 150.0], ids=["austenite", "martensite"])
 def test_a_wire_that_stays_in_one_phase_is_noticed_and_found_where_it_transforms(displaced):
     """The start values are far from the wire's: its temperatures lie outside of the recorded ones."""
@@ -92,6 +93,7 @@ def test_check_says_that_nothing_transforms_and_what_a_fit_takes(tmp_path):
         assert "A simulation of these recordings takes 119 steps, and a fit about 0.6 GB of memory." in text
 
 
+@pytest.mark.slow
 def test_loops_of_a_superelastic_wire_are_fitted_from_values_of_an_actuator():
     truth = changed(plants.strain_path(), austenite_shift=-75.0, martensite_shift=-80.0)
     truth = changed(truth, modulus_austenite=40e9)
@@ -103,6 +105,7 @@ def test_loops_of_a_superelastic_wire_are_fitted_from_values_of_an_actuator():
     assert result.rmse("stress") < 3e6
 
 
+@pytest.mark.slow
 def test_a_heated_wire_that_never_gets_hot_enough_is_noticed():
     """Its temperatures are computed; no parameter that could mend it is free, so no further starts are made."""
     plant = plants.dead_weight()
@@ -140,6 +143,7 @@ def test_only_a_search_says_that_any_value_fits(profile, words):
     assert words in sentence and ("any value" in sentence) == ("profile shows," in words)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_not_determined_has_a_profile_over_its_bounds(monkeypatch):
     """One cycle under 100 MPa: a slope C moves A_s by 100 MPa / C, up to 50 MPa/K, so that a shift can be replaced."""
     plant = plants.stress_path()

@@ -239,6 +239,7 @@ def plays(law: PrandtlIshlinskii, values: list[float]) -> np.ndarray:
     return np.asarray(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [10, 20])
 @pytest.mark.parametrize("unloading", UNLOADING)
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -276,6 +277,7 @@ def test_one_operator_is_the_textbook_play():
     np.testing.assert_allclose(follow(law, jnp.asarray(TIME), jnp.asarray(INPUT)), expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_batches_and_derivatives_of_the_operator():
     law, time, values = operator(envelope(1.0, 1.8, 0.4, 0.1)), jnp.asarray(TIME[:150]), jnp.asarray(INPUT[:150])
     batch = jax.vmap(lambda d: follow(eqx.tree_at(lambda o: o.direct, law, d), time, values))(jnp.array([0.4, 0.5]))

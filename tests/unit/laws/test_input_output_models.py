@@ -83,6 +83,7 @@ def test_a_step_at_uneven_rows_is_exact():
     np.testing.assert_allclose(result, 1.0 - np.exp([0.0, -0.1, -3.333]), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", STRUCTURES)
 @pytest.mark.parametrize("delay", [0.0, 0.35, 2.85])
 def test_uneven_rows_are_as_good_as_even_ones(structure, delay):
@@ -306,6 +307,7 @@ def planted(family) -> dict:
     }[family]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "family", "least"),
     [
@@ -343,6 +345,7 @@ def wire() -> list[Series]:
     return [Series(r.name, r.time[::10], r.channels["voltage"][::10], r.channels["displacement"][::10]) for r in read]
 
 
+@pytest.mark.slow
 def test_a_network_does_not_run_away_on_another_input_and_ends_alike_from_other_points(wire):
     """With free weights the error is 1.3 of the output's range for one of two seeds, and with a weak penalty for both."""
     errors = []
@@ -353,6 +356,7 @@ def test_a_network_does_not_run_away_on_another_input_and_ends_alike_from_other_
     assert errors[1] == pytest.approx(errors[0], rel=0.08) and max(errors) < 0.12 * np.ptp(wire[1].output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slow", [6.0, 1.0])
 def test_a_richer_transfer_function_fits_no_worse_than_those_that_it_holds(slow):
     """Data of one pole: two poles, a damped pair and a pair with a pole contain it, at or near their bounds."""
@@ -365,6 +369,7 @@ def test_a_richer_transfer_function_fits_no_worse_than_those_that_it_holds(slow)
     assert max(errors) < 1.02 * errors[0] and errors[0] == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_planted_recovery_is_found():
     """A lag while the input is on, and a recovery by two exponentials from the last output."""
     rng = np.random.default_rng(3)
@@ -398,6 +403,7 @@ def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
     assert any(name.startswith("share") for name in result.at_bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_networks_that_seldom_run_away_on_known_inputs_in_other_orders_come_first(seed):
     """The best fit under the strongest ridge has an error of 0.7 of the output's range on another input, where it diverges."""
@@ -436,6 +442,7 @@ def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
     np.testing.assert_array_equal(sum(hidden for _, hidden in parts), problem.data.weight)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [8.0, 30.0])
 def test_a_steep_operator_is_found_wherever_its_input_is_counted_from(slope):
     """A loop near 0 and one far from it are equivalent for the search."""
@@ -450,6 +457,7 @@ def test_a_steep_operator_is_found_wherever_its_input_is_counted_from(slope):
         assert fit_io_model(prandtl_ishlinskii_spec(series), series, starts=8).rmse < 5.5e-3, origin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["transfer-function-one-pole", "transfer-function-two-poles", "bouc-wen"])
 def test_an_input_about_a_bias_is_no_harder_than_one_about_zero(name):
     """The output at zero input lies far outside the range of the output then."""
@@ -531,6 +539,7 @@ def test_two_envelopes_are_found_from_far(seed):
     assert result.rmse < 1e-6 * np.ptp(series[0].output)
 
 
+@pytest.mark.slow
 def test_twenty_plays_fit_no_worse_than_the_ten_that_they_hold():
     """Data of a lag, which plays cannot represent: the cost has many minima, and from the usual guesses twenty plays reach a poor one."""
     rng = np.random.default_rng(0)
@@ -614,6 +623,7 @@ def test_a_saturated_loop_is_prandtl_ishlinskiis():
     assert errors["prandtl-ishlinskii"] < 0.3 * errors["bouc-wen"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0.0, 1.7, 6.25])
 def test_the_dead_time_of_a_hammerstein_wiener_model_is_found(late):
     """A curve, a dead time, a lag and a curve, on a fine grid by another rule; the fit sees one row in ten."""
@@ -630,6 +640,7 @@ def test_the_dead_time_of_a_hammerstein_wiener_model_is_found(late):
     assert fit_percent(series[1].output, result.respond(series[1])) > 95.0
 
 
+@pytest.mark.slow
 def test_hammerstein_wiener_may_begin_at_rest_with_its_input_on():
     u = np.repeat([1.0, 0.2, 0.8, 0.4, 1.0, 0.0, 0.6, 0.3], 50)
     exact = scipy.signal.lsim(([1.0], [2.0, 1.0]), u, TIME, interp=False)[1]
@@ -689,6 +700,7 @@ def laws() -> dict:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", laws())
 def test_derivatives_and_batches(name):
     """By every parameter, forward and reverse, against differences; a compiled batch equals uncompiled single evaluations."""

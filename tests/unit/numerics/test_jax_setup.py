@@ -73,6 +73,7 @@ def python(code, **variables):
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_the_import_of_every_module_changes_no_setting_but_the_precision():
     code = """
 import os, pkgutil, importlib, jax
@@ -100,12 +101,14 @@ print(int(result.status), result.channels["temperature"].dtype)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prepare", ["", "from smajax.numerics.process import prepare_jax; prepare_jax()"])
 def test_it_works_after_equinox_and_jax_were_imported_and_used(prepare, tmp_path):
     folder = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)} if prepare else {}
     assert python(SIMULATED.format(prepare=prepare), **folder) == "0 float64"
 
 
+@pytest.mark.slow
 def test_single_precision_is_refused_in_one_sentence():
     code = """
 import jax
@@ -125,6 +128,7 @@ except InputError as error:
     assert python(code.format(switch="")) == python(code.format(switch=""), JAX_ENABLE_X64="1") == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call", ["sma.discretise(plant, recording)", "inputs.scale(2.0)", "sma.rollout(plant, loop, np.ones(4))"]
 )

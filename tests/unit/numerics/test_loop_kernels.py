@@ -218,6 +218,7 @@ def test_programs_of_symbolic_shapes_are_exported():
     np.testing.assert_allclose(exported.call(ROWS), sines(ROWS), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_every_program_of_the_package_is_compiled_with_kernels():
     """Otherwise its digits and its speed would not be those of the same loop in another program."""
     # Steps that other programs contain, without a loop of their own over time; stored programs are traced with kernels.

@@ -259,6 +259,7 @@ print(float(abs(found.channels["displacement"]).max()), len(traced))
 """
 
 
+@pytest.mark.slow
 def test_an_edited_law_gives_other_numbers_and_the_old_one_the_old_ones(tmp_path):
     """A copy of smajax, in which a phase that does not transform vanishes by 0.1 % in each step."""
     shutil.copytree(ROOT / "smajax", tmp_path / "smajax", ignore=shutil.ignore_patterns("__pycache__"))

@@ -67,6 +67,7 @@ def test_remaining_share_is_the_half_cosine():
     assert np.max(np.abs(np.asarray(cosine_remainder(jnp.asarray(x), 0.0)) - exact)) < 1e-15
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     st.tuples(st.floats(0, 1), st.floats(0, 1)),
@@ -85,6 +86,7 @@ def test_agrees_with_the_exact_reference_and_stays_in_range(shares, temperature,
         assert mine == pytest.approx(exact, abs=3e-4)
 
 
+@pytest.mark.slow
 def test_smoothing_error_is_of_first_order():
     errors = []
     for smoothing in (1e-3, 1e-4, 1e-5):
@@ -98,6 +100,7 @@ def test_smoothing_error_is_of_first_order():
     assert np.all(np.abs(orders - 1.0) < 0.05), (errors, orders)
 
 
+@pytest.mark.slow
 def test_derivative_across_a_finished_transformation_is_finite():
     def remaining(finish):
         law = Brinson(**(plants.MATERIAL | {"austenite_finish": finish}))

@@ -78,6 +78,7 @@ def steady_errors(cells: int) -> tuple[float, float]:
     return float(np.max(np.abs(last - means))), float(abs(shares @ (last - means)))
 
 
+@pytest.mark.slow
 def test_the_steady_profile_converges_to_that_of_a_fin():
     errors = [steady_errors(cells) for cells in (5, 9, 17, 33)]
     rise = exact_profile(cold_wire(9), np.array([0.115]))[0] - AMBIENT
@@ -86,6 +87,7 @@ def test_the_steady_profile_converges_to_that_of_a_fin():
         assert fine[0] < 0.6 * coarse[0] and fine[1] < 0.5 * coarse[1], errors
 
 
+@pytest.mark.slow
 def test_transients_with_a_clamp_that_warms_up_agree_with_a_fine_grid_of_another_solver():
     clamp = {"clamp_conductance": 2e-4, "clamp_capacity": 2e-3}
     plant = cold_wire(33, **clamp)
@@ -117,6 +119,7 @@ def test_transients_with_a_clamp_that_warms_up_agree_with_a_fine_grid_of_another
     assert np.max(np.abs(clamps - solution.y[-1])) < 0.03 * np.ptp(clamps)
 
 
+@pytest.mark.slow
 def test_heat_is_conserved_over_a_cycle_of_heating_transforming_and_cooling():
     latent = catalogue()["latent-heat"](strength=jnp.asarray(8e7))
     plant = with_structure(plants.dead_weight(), 9, 4, clamp_conductance=1e-3)
@@ -151,6 +154,7 @@ def test_heat_is_conserved_over_a_cycle_of_heating_transforming_and_cooling():
     assert np.max(np.abs(received - stored[1:])) < 2e-3 * np.ptp(stored)
 
 
+@pytest.mark.slow
 def test_resistance_is_the_sum_over_cells_and_power_is_that_of_one_current():
     plant = with_structure(plants.bias_spring(), 9, 3)
     recording = plants.inputs("bias_spring", 200, 0.05)
@@ -166,6 +170,7 @@ def test_resistance_is_the_sum_over_cells_and_power_is_that_of_one_current():
     assert np.ptp(ohms) > 0.02 * ohms.max()
 
 
+@pytest.mark.slow
 def test_a_wire_that_conducts_no_heat_is_that_of_one_cell():
     recording = plants.inputs("dead_weight", 200, 0.05)
     plant = plants.dead_weight()
@@ -188,6 +193,7 @@ def test_a_thermocouple_reads_its_place():
     assert readings[0] == pytest.approx(readings[1]) and readings[1] < readings[2] < readings[3]
 
 
+@pytest.mark.slow
 def test_heat_is_conserved_under_a_recorded_ambient_temperature():
     """In a steady state at another ambient temperature than the rig's, the clamps get what the wire does not lose."""
     plant = with_structure(plants.dead_weight(**COLD), 9, clamp_conductance=1e3)
@@ -212,6 +218,7 @@ def test_uneven_convection_keeps_its_mean_and_cools_the_ends_more():
     assert float(np.diff(ends) @ factors) == pytest.approx(float(ends[-1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dead_weight", "bias_spring", "light_rotary", "limb", "duty_spring"])
 def test_derivatives_agree_with_finite_differences_in_both_modes(kind):
     plant = with_structure(plants.KINDS[kind](), 4, 2, clamp_conductance=1e-3)
@@ -232,6 +239,7 @@ def test_derivatives_agree_with_finite_differences_in_both_modes(kind):
     np.testing.assert_allclose(forward, numeric, rtol=2e-3, atol=2e-5 * float(jnp.max(jnp.abs(forward))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["tanaka", "liang-rogers", "lagoudas"])
 def test_other_laws_have_cells_and_grains(law):
     from smajax.plant.materials.registry import MATERIALS
@@ -244,6 +252,7 @@ def test_other_laws_have_cells_and_grains(law):
     assert np.all(np.isfinite(moved)) and np.ptp(moved) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "stage"), [("bias_spring", s) for s in STAGES] + [("light_rotary", "heat")])
 def test_effects_act_on_a_wire_of_cells(kind, stage):
     plant = with_structure(plants.KINDS[kind](), 3, 2)
@@ -264,6 +273,7 @@ def test_effects_act_on_a_wire_of_cells(kind, stage):
     assert not set(blind) - NOT_SHOWN, blind
 
 
+@pytest.mark.slow
 def test_the_step_converges_to_the_differential_equation():
     plant = with_structure(plants.dead_weight(), 5, 2)
     recording = plants.inputs("dead_weight", 40, 0.15)
@@ -275,6 +285,7 @@ def test_the_step_converges_to_the_differential_equation():
     assert errors[1] < 0.5 * errors[0] and errors[2] < 0.6 * errors[1] and errors[2] < 2e-3, errors
 
 
+@pytest.mark.slow
 def test_compiled_and_eager_steps_agree():
     plant = with_structure(plants.bias_spring(), 5, 3)
     signal = jnp.asarray([2.5])

@@ -158,6 +158,7 @@ def test_the_law_in_shear_is_that_of_the_hip_paper(law):
     assert float(-per_kelvin / per_tau) == pytest.approx(-root * expansion * modulus, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_a_bias_spring_moves_as_the_reference_in_shear(law):
     made, record = plant(BiasSpring(Spring(40.0, 1.2)), law), recording(0.0, 1.6)
@@ -174,6 +175,7 @@ def test_a_bias_spring_moves_as_the_reference_in_shear(law):
     )
 
 
+@pytest.mark.slow
 def test_a_dead_weight_and_its_derivatives():
     made, record = plant(DeadWeight(Load(0.3)), "brinson", VoltageDrive(), springs=2.0), recording(0.0, 3.2, "voltage")
     reference_result = exact.dead_weight(
@@ -193,6 +195,7 @@ def test_a_dead_weight_and_its_derivatives():
         assert float(slopes[name]) == pytest.approx((ends[0] - ends[1]) / (2e-5 * value), rel=1e-4), name
 
 
+@pytest.mark.slow
 def test_an_antagonistic_pair_turns_as_the_reference():
     made = plant(MasslessRotary(Pulley(0.02)), prestretch=30e-3)
     first, second = plants.pulses(400, 0.3, 1.6), np.roll(plants.pulses(400, 0.3, 1.6, seed=1), 20)
@@ -206,6 +209,7 @@ def test_an_antagonistic_pair_turns_as_the_reference():
     assert np.max(np.abs(computed - reference_result.position)) < 1e-3 * np.ptp(reference_result.position)
 
 
+@pytest.mark.slow
 def test_a_joint_lifts_its_link_as_the_reference():
     """Six springs a group at up to 12 V, a link of 0.2 kg at 0.1 m: gravity bends the angle, and the rate is the angle's."""
     made = plant(Joint(Pulley(0.028, 1e-4, 0.05), Link(0.2, 0.1)), drive=VoltageDrive(), prestretch=40e-3, springs=6.0)

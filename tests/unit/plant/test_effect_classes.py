@@ -205,6 +205,7 @@ def test_the_help_of_register_says_what_is_obligatory_and_where_an_example_is():
     assert "``help(smajax.effects.AbstractEffect)``" in text and "complete example" in text
 
 
+@pytest.mark.slow
 def test_the_example_of_the_docstring_is_a_complete_effect():
     text = inspect.getdoc(AbstractEffect) or ""
     block = text.partition("::\n\n")[2].splitlines()
@@ -223,6 +224,7 @@ def test_the_example_of_the_docstring_is_a_complete_effect():
     assert all(f"``{word}``" in text for word in ("strength", "key", "typical"))
 
 
+@pytest.mark.slow
 def test_a_positive_drag_hinders_the_contraction_by_its_force_over_the_area():
     class Pull(MechanismEffect):
         strength: jax.Array = parameter("N", "force against the contraction", 0.0, 10.0, 0.0)

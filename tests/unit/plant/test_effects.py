@@ -141,6 +141,7 @@ def test_an_effect_says_what_it_is(key):
     assert all(name in declarations(kind) for name, _ in kind.shapes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "seconds", "observe", "stages"),
     [
@@ -186,6 +187,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
         assert silent <= {"compliance", "slip", "stress-dependent-strain"}, silent
 
 
+@pytest.mark.slow
 def test_what_is_planted_is_recovered():
     """Each visible effect at its usual strength is recovered by a fit that starts from a fifth of it.
 
@@ -417,6 +419,7 @@ def _response(key: str, strengths: list[float]) -> tuple[np.ndarray, np.ndarray]
     return np.asarray(moved), np.asarray(codes)
 
 
+@pytest.mark.slow
 def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
     moved, codes = _response("coulomb-friction", [0.0, 1e5, 1e6, 3e6, 1e7, 2e7, 5e7, 1e8, 1.5e8])
     assert not codes.any()
@@ -425,6 +428,7 @@ def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
     assert np.all(np.diff(ways) < 0.0)
 
 
+@pytest.mark.slow
 def test_a_pulley_that_sticks_while_detwinning_begins_or_ends_can_be_simulated():
     """The balance is steep there and flat next to it: Newton's steps used to oscillate across the kink without converging."""
     friction = catalogue()["coulomb-friction"](reversal=1e-6)  # pyright: ignore[reportCallIssue]
@@ -512,6 +516,7 @@ def test_what_an_effect_strains_at_the_start_moves_no_zero():
     assert np.ptp(moved[1]) < 0.99 * np.ptp(moved[0])
 
 
+@pytest.mark.slow
 def test_an_effect_of_strength_zero_changes_no_bit():
     """The simulation of a rig with it is the simulation of the rig without it; one of another strength is not."""
     rig = read_rig(data_path("recordings", "dead-weight") / "rig.toml")

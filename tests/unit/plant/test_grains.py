@@ -66,6 +66,7 @@ def test_the_factor_keeps_the_steepest_tangent(form):
         assert fitted == pytest.approx(exact, abs=error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["brinson", "lagoudas", "liang-rogers"])
 def test_tangents_of_a_simulated_cycle_do_not_depend_on_the_spread(law):
     up = np.linspace(40.0, 140.0, 1001)
@@ -79,6 +80,7 @@ def test_tangents_of_a_simulated_cycle_do_not_depend_on_the_spread(law):
             np.testing.assert_allclose(branches[1], branches[0], atol=0.04 * band)
 
 
+@pytest.mark.slow
 def test_grains_converge_and_change_nothing_without_a_spread():
     path = np.concatenate([np.linspace(40.0, 140.0, 501), np.linspace(140.0, 40.0, 501)])
     none = Grains(jnp.asarray(0.0), jnp.asarray(0.0), count=6)
@@ -89,6 +91,7 @@ def test_grains_converge_and_change_nothing_without_a_spread():
     assert errors[1] < 0.005 * np.ptp(curves[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["brinson", "lagoudas", "tanaka"])
 def test_factors_on_the_widths_are_wider_temperatures(law):
     path = np.concatenate([np.linspace(20.0, 160.0, 301), np.linspace(160.0, 40.0, 301), np.linspace(40.0, 95.0, 101)])

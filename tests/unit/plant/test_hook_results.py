@@ -32,6 +32,7 @@ def effect(stage: type[AbstractEffect], **body) -> AbstractEffect:
     return type("BadShape", (stage,), start | {"key": "bad-shape", "typical": 0.5} | body)()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "body", "sentence"),
     [
@@ -85,6 +86,7 @@ def test_a_wrong_result_is_named_with_effect_and_hook(stage, body, sentence):
     assert str(caught.value).startswith(f"effect 'bad-shape': {sentence}")
 
 
+@pytest.mark.slow
 def test_a_scalar_result_counts_for_all_wires():
     plant = dataclasses.replace(plants.dead_weight(), effects=(effect(HeatEffect, power=lambda *a: 0.0),))
     without = dataclasses.replace(plant, effects=())

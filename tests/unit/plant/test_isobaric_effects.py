@@ -39,6 +39,7 @@ def _crossings(strain, temperature):
     return heating, np.interp(middle, strain[hottest:], temperature[hottest:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stress", "power", "widening"), [(200e6, 2.0, 8.0), (200e6, 1.0, 4.0), (50e6, 2.0, 0.5)])
 def test_hysteresis_widens_with_the_power_of_the_stress(stress, power, widening):
     """Heating is shifted by s (sigma / 100 MPa)^n, cooling is not."""
@@ -51,6 +52,7 @@ def test_hysteresis_widens_with_the_power_of_the_stress(stress, power, widening)
     assert wide[1] == pytest.approx(without[1], abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_linear_widening_is_another_slope():
     """With n = 1 it is C_A with sigma / C_A + s sigma / 100 MPa, to rounding; a slack wire has none, and no NaN."""
     effect = catalogue()["hysteresis-widening"](strength=3.0, power=1.0)
@@ -64,6 +66,7 @@ def test_a_linear_widening_is_another_slope():
     assert np.array_equal(_isobaric_strain([effect], stress=0.0), _isobaric_strain(stress=0.0))
 
 
+@pytest.mark.slow
 def test_a_lagging_thermometer_is_a_shift_on_each_branch():
     """Far from the reversals the strain is that at a temperature above the reading on heating and below on cooling."""
     temperature = 85.0 - 75.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 2401))
@@ -86,6 +89,7 @@ def test_the_lag_reverses_over_its_width():
     assert effect.specimen_offset(memory) == memory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [Brinson, LiangRogers, Tanaka, Lagoudas])
 @pytest.mark.parametrize(
     ("key", "name"),

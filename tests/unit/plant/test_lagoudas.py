@@ -113,6 +113,7 @@ def test_lines_that_do_not_approach_each_other_never_cross():
     assert Lagoudas(**(STEEP | {"austenite_start": 29.0})).crossing_stress() == 0.0
 
 
+@pytest.mark.slow
 def test_lost_hysteresis_is_said(tmp_path):
     """The check, a simulation and a fit warn of a recording above the stress at which the lines cross, and not below it."""
     units = {"Pa": "Pa", "Pa/K": "Pa/K", "degC": "degC", "1": "", "1/Pa": "1/Pa"}
@@ -178,6 +179,7 @@ def test_isobaric_cycles_are_the_published_ones(shared, stress, hardening_of):
     assert np.max(np.abs(np.asarray(computed)[1:] - exact[:, 1])) < 1e-8  # required: 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hardening_of", ANCHORS)
 def test_superelastic_loops_are_the_published_ones(shared, hardening_of):
     plant, warm, exact = anchor(shared, f"super_{hardening_of}", "stress")
@@ -384,6 +386,7 @@ def test_paths_of_temperature_and_stress_together_converge_on_the_reference(voig
 compiled = eqx.filter_jit(Lagoudas.evolve)
 
 
+@pytest.mark.slow
 def test_compiled_is_eager():
     rng = np.random.default_rng(3)
     for temperature, stress, share in zip(
@@ -429,6 +432,7 @@ def test_fractions_stay_possible(path):
         )
 
 
+@pytest.mark.slow
 def test_a_closed_loop_costs_work():
     plant = path_rig("stress", **{**TEXT, "n1": "0.3"}).plant
     strain = np.concatenate([np.linspace(0.0, 0.05, 400), np.linspace(0.05, 0.0, 400)[1:]])
@@ -462,6 +466,7 @@ def pulses(count: int = 600) -> Recording:
     return Recording.from_arrays("pulses", seconds, {"current": current}, {})
 
 
+@pytest.mark.slow
 def test_a_wire_in_time_is_the_reference():
     """Heat by many small steps, fractions by bisection: an independent implementation."""
     rig, recording = dead_weight(), pulses()
@@ -487,6 +492,7 @@ def test_a_wire_in_time_is_the_reference():
     assert np.sqrt(np.mean((computed - lifted) ** 2)) < 0.01e-3
 
 
+@pytest.mark.slow
 def test_derivatives_and_batches_of_a_wire():
     rig, recording = dead_weight(), pulses(300)
     names = (
@@ -515,6 +521,7 @@ def test_derivatives_and_batches_of_a_wire():
     assert not np.any(codes)
 
 
+@pytest.mark.slow
 def test_every_effect_goes_with_it():
     """Absent effects change nothing, and each has a derivative: the law supports all hooks of effects."""
     rig, recording = dead_weight(), pulses(120)
@@ -547,6 +554,7 @@ def test_every_effect_goes_with_it():
     assert np.all(np.isfinite(slopes)) and len(kinds) > 15
 
 
+@pytest.mark.slow
 def test_planted_parameters_are_found():
     """Thermal cycles made by the reference, with noise; the strain's own parameters and the forward line are free."""
     rng = np.random.default_rng(1)

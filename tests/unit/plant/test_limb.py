@@ -58,6 +58,7 @@ def misses(plant: Plant, recording, steps: tuple[float, ...]) -> list[float]:
     return [float(np.sqrt(np.mean((a - finer) ** 2)) / np.ptp(finer)) for a in angles]
 
 
+@pytest.mark.slow
 def test_converges_to_the_reference(recording):
     assert misses(air(plants.limb(sheathed=False)), recording, (0.05,))[0] < 5e-3
     computed = misses(air(plants.limb()), recording, (0.05, STEP))
@@ -93,6 +94,7 @@ def test_without_friction_and_conduction_there_is_no_sheath():
     assert parse_rig(without.replace("free = [", 'free = ["sheath.friction", ')).plant.mechanism.sheath is not None
 
 
+@pytest.mark.slow
 def test_a_vanishing_sheath_is_none(recording):
     plain = np.asarray(simulate.simulate(plants.limb(sheathed=False), recording, step=STEP).channels["angle"])
     inputs = discretise(plants.limb(), recording, step=STEP)

@@ -53,6 +53,7 @@ def advance(
     return float(LAWS[law].evolve(Fractions(*start), warm, loaded).martensite)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("stress", [0.0, 80e6, 200e6])
 @pytest.mark.parametrize("start", [0.0, 0.3])
@@ -111,6 +112,7 @@ def pulses(rows: int = 400) -> Recording:
     return plants.recording({"current": plants.pulses(rows, 0.05, 0.36)}, np.arange(rows) * 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_a_wire_in_time_is_the_reference_and_converges_on_it(law):
     recording, plant = pulses(), rig_of(law).plant
@@ -125,6 +127,7 @@ def test_a_wire_in_time_is_the_reference_and_converges_on_it(law):
     np.testing.assert_allclose(np.asarray(computed.state.fractions.martensite)[:, 0], exact[:, 3], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_every_derivative_is_that_of_differences_and_a_batch_is_a_loop(law):
     plant, recording = rig_of(law).plant, pulses(120)
@@ -157,6 +160,7 @@ def test_every_derivative_is_that_of_differences_and_a_batch_is_a_loop(law):
     np.testing.assert_allclose(ends[-1], simulate(plant, recording).channels["displacement"] * 1e3, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_compiled_is_eager(law):
     plant, recording = rig_of(law).plant, pulses()
@@ -169,6 +173,7 @@ def test_compiled_is_eager(law):
     assert np.asarray(compiled.state.stress[1]) == pytest.approx(np.asarray(state.stress), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_planted_parameters_are_found(law):
     """A recording simulated by the reference, with noise, and a fit from other start values."""
@@ -198,6 +203,7 @@ def test_planted_parameters_are_found(law):
         assert e.estimate == pytest.approx(truth, rel=0.01), e.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(10.0, 160.0), st.floats(0.0, 4e8)), min_size=3, max_size=8), st.floats(0.0, 1.0))

@@ -163,6 +163,7 @@ def test_something_else_in_place_of_a_method_is_one_sentence():
         plant(mechanism=own(OwnLoad, "force", 2.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "function", [lambda self, *arguments: 2.0 + 250.0 * arguments[0], lambda self, x, offset=2.0: offset + 250.0 * x]
 )
@@ -190,6 +191,7 @@ def test_nothing_is_computed_for_the_check_of_smajax_s_own_classes(monkeypatch):
     dataclasses.replace(made, wire=Wire(diameter=0.2e-3, length=0.23))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "number"), [("modulus", 5e10), ("resistivity", 9e-7)])
 def test_an_own_law_may_return_one_number(method, number):
     whole = own(OwnLaw, method, lambda self, fractions: jnp.full_like(fractions.martensite, number))

@@ -340,6 +340,7 @@ def install(folder: pathlib.Path, name: str, entry_points: str) -> None:
     (info / "entry_points.txt").write_text(textwrap.dedent(entry_points), "utf-8")
 
 
+@pytest.mark.slow
 def test_an_installed_package_adds_classes_by_entry_points(tmp_path: pathlib.Path):
     (tmp_path / "sma_extra.py").write_text(PACKAGE, "utf-8")
     install(tmp_path, "sma-extra", ENTRY_POINTS)

@@ -80,6 +80,7 @@ def test_corners_are_found():
         assert cycle.values["width"].value == pytest.approx(42.5, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "rows", "strain_noise", "warm_noise", "times"),
     [(1, 80, 4e-4, 0.0, 30), (1, 160, 1e-5, 3.0, 20), (2, 80, 4e-4, 0.0, 12), (3, 160, 1e-5, 3.0, 6), (8, 40, 4e-4, 0.0, 4), (1, 16, 1e-4, 0.0, 40)],
@@ -105,6 +106,7 @@ def test_intervals_hold_the_truth(count, rows, strain_noise, warm_noise, times):
     assert np.mean(list(covered.values())) >= 0.9 * times, covered
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("warm_noise", "slow", "share"), [(0.4, 0.0, 0.9), (0.0, 0.9, 0.88)])
 def test_intervals_know_noise_that_is_not_smoothed_and_noise_that_is_slow(warm_noise, slow, share):
     """Noise in the temperatures shows on the transformation only; neighbours that err together tell less than their number."""
@@ -182,6 +184,7 @@ def test_the_steepest_tangent_of_noisy_temperatures():
         assert len(cycles) == 8 and means[name].value == pytest.approx(true, abs=2.0), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "warm_noise", "smooth"), [(30_001, 0.0, 1), (30_001, 0.4, 1), (30_001, 1.0, 99)])
 def test_a_branch_of_very_many_rows_is_read_by_their_means(rows, warm_noise, smooth):
     """Its sharpness is that of all rows: a 95 % interval of 160 rows as noisy is ten times as wide."""
@@ -557,6 +560,7 @@ def test_a_file_given_twice_is_refused(tmp_path):
     assert done.exit_code == 2 and "good.csv: this file is given twice" in done.output
 
 
+@pytest.mark.slow
 def test_the_hundred_cycles_measured_by_others(shared):
     """Means by another tool, its values as that tool prints them."""
     columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")

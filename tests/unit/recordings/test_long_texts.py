@@ -75,6 +75,7 @@ def files_of(rows: list[list[str]]) -> list[Path]:
     return [Path(name) for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["header", "cell", "first time", "all times"])
 @pytest.mark.parametrize("text", TEXTS)
 def test_long_texts_are_read_or_refused_at_once(text, place):

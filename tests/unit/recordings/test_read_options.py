@@ -400,6 +400,7 @@ def test_options_of_formats_are_read_from_the_rig_and_written():
         parse_rig(RIG + '[recording]\ntopic_interpolation = "cubic"\n')
 
 
+@pytest.mark.slow
 def test_the_same_options_are_on_the_command_line(tmp_path):
     cycle = np.concatenate([np.linspace(20.0, 110.0, 200), np.linspace(110.0, 20.0, 200)])
     lag = np.concatenate([np.full(200, 75.0), np.full(200, 50.0)])

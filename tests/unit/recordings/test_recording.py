@@ -441,6 +441,7 @@ print(len(recording), recording.time[-1], recording.channels["displacement"].sum
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit of memory is that of Linux")
 def test_ten_million_rows_are_read_within_two_gibibytes(tmp_path):
     path, total, block = tmp_path / "long.csv", 10_000_000, 1_000_000

@@ -131,6 +131,7 @@ def test_there_are_thirty_texts():
     assert len(HOSTILE) == len(set(HOSTILE)) == 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_no_text_adds_or_ends_an_element(command, chosen_places, without_plotly):
     chosen = chosen_places(command)
@@ -175,6 +176,7 @@ def check_in_browser(command: str, text: str, chosen: list[Place], folder: Path)
     assert not [names for _, names in outlines[1].elements if MARK in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_a_browser_executes_no_text(command, chosen_places, tmp_path):
     """All texts at once."""

@@ -37,6 +37,7 @@ def test_units_are_those_of_the_file_where_it_gives_one(text):
     assert file_units(dataclasses.replace(rig, text=None), units_of(rig)) == {}
 
 
+@pytest.mark.slow
 def test_a_fit_is_told_in_these_units_with_nominal_values_and_temperatures(text):
     changed = text.replace('mass = "0.2 kg"', 'mass = "210 g"')
     free = ("load.mass", "material.max_transformation_strain", "material.austenite_shift")

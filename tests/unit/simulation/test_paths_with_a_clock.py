@@ -58,6 +58,7 @@ def test_the_steps_of_a_heated_wire_still_resolve_its_cooling():
     assert len(discretise(plant, recording).time) > 100 and default_step(plant) <= 0.05
 
 
+@pytest.mark.slow
 def test_a_clock_changes_no_fit_of_a_path():
     time = np.cumsum(np.append(0.0, np.random.default_rng(0).uniform(0.1, 600.0, ROWS - 1)))
     settings = Settings(free=("material.max_transformation_strain", "material.martensite_shift"), observe=("strain",))
@@ -79,6 +80,7 @@ def loop(time=None) -> Recording:
     return dataclasses.replace(blank, channels={**blank.channels, "stress": noisy})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [1e-6, 0.19, 86400.0], ids=["microseconds", "the real log", "days"])
 def test_a_clock_changes_no_fit_of_loops_of_strain(spacing):
     settings = Settings(free=("material.austenite_shift", "material.modulus_austenite"), observe=("stress",))

@@ -31,6 +31,7 @@ def overstrained_plant():
     return dataclasses.replace(plant, effects=(Ratcheting(strength=jnp.asarray(4e-3), exponent=jnp.asarray(1.5)),))
 
 
+@pytest.mark.slow
 def test_a_strain_beyond_twice_the_transformation_strain_is_a_failure():
     plant, recording = overstrained_plant(), plants.inputs("dead_weight", 100, 0.1)
     result = simulate(plant, recording, throw=False)
@@ -47,6 +48,7 @@ def test_a_strain_beyond_twice_the_transformation_strain_is_a_failure():
     assert int(status) == SimulationStatus.done
 
 
+@pytest.mark.slow
 def test_usual_wires_and_prescribed_strains_are_within_the_limits():
     for kind, make in plants.KINDS.items():
         result = simulate(make(), plants.inputs("rotary" if "rotary" in kind else kind, 120), throw=False)
@@ -62,6 +64,7 @@ def test_rows_from_the_first_impossible_state_on_have_no_numbers():
     assert cut[0] == 0.0 and np.all(np.isnan(cut[1:]))
 
 
+@pytest.mark.slow
 def test_a_response_of_an_overheated_wire_has_no_error(monkeypatch):
     """A holdout whose input melts the wire: the fit reports the failure, and neither error nor model values."""
     plant = plants.dead_weight()
@@ -82,6 +85,7 @@ def test_a_response_of_an_overheated_wire_has_no_error(monkeypatch):
     assert np.nanmax(held.model["temperature"]) < 1300.0
 
 
+@pytest.mark.slow
 def test_python_and_command_line_report_the_failure_and_no_number(tmp_path):
     rig = (FOLDER / "rig.toml").read_text("utf-8")
     rig = rig.replace('thermal_expansion = "10e-6 1/K"', 'thermal_expansion = "-1000e-6 1/K"')

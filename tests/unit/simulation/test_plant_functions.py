@@ -63,6 +63,7 @@ def own_loop(plant):
     return displacement
 
 
+@pytest.mark.slow
 def test_a_loop_over_steps_has_its_gradient_in_both_modes(own_loop):
     at = jnp.asarray([1.0, 1.0])
     forward, reverse = jax.jit(jax.jacfwd(own_loop))(at), jax.jit(jax.jacrev(own_loop))(at)
@@ -74,6 +75,7 @@ def test_a_loop_over_steps_has_its_gradient_in_both_modes(own_loop):
         assert abs(numeric) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_loop_over_steps_is_mapped(own_loop):
     at = jnp.asarray([[0.8, 1.0], [1.2, 1.1]])
     batch = jax.vmap(own_loop)(at)
@@ -105,6 +107,7 @@ def test_the_search_of_a_step_has_no_derivative(plant):
         jax.grad(temperature)(1.0)
 
 
+@pytest.mark.slow
 def test_steps_are_those_of_the_simulation(plant, recording):
     inputs = discretise(plant, recording, step=0.15)
     result = simulate(plant, inputs)
@@ -122,6 +125,7 @@ def test_a_step_reports_its_failure(plant):
     assert int(info.status) != SimulationStatus.done
 
 
+@pytest.mark.slow
 def test_a_peak_temperature_has_its_gradient_in_the_amplitude_of_the_input(plant, recording, inputs):
     def peak(amplitude):
         return jnp.max(simulate(plant, inputs.scale(amplitude)).channels["temperature"])
@@ -134,6 +138,7 @@ def test_a_peak_temperature_has_its_gradient_in_the_amplitude_of_the_input(plant
             twice(1.0)
 
 
+@pytest.mark.slow
 def test_a_simulation_is_compiled_mapped_and_differentiated_in_a_parameter(plant, recording, inputs):
     def response(h0, driven=inputs, **options):
         return simulate(parameters.replace(plant, {"heat.h0": h0}), driven, **options).channels["displacement"]
@@ -151,6 +156,7 @@ def test_a_simulation_is_compiled_mapped_and_differentiated_in_a_parameter(plant
     assert np.asarray(compiled) == pytest.approx(np.asarray(response(h0[0])), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_failure_is_raised_or_reported(plant, inputs):
     hot = inputs.scale(100.0)
     with pytest.raises(NumericsError, match=r"simulate: \w+: .*; parameters: "):
@@ -199,6 +205,7 @@ def test_the_help_says_how_to_differentiate_in_the_inputs(function):
     assert "``Inputs.scale``" in function.__doc__
 
 
+@pytest.mark.slow
 def test_a_plant_of_a_rig_simulates_a_recording_as_its_rig_does():
     linear = read_rig(DEAD_WEIGHT / "rig.toml")
     recording = linear.read(DEAD_WEIGHT / "train.csv").slice(0.0, 6.0)

@@ -72,6 +72,7 @@ def lumped_wire(ambient, strength=0.0, time_constant=1.0, share=1.0, rise=None):
     return np.array(temperatures)
 
 
+@pytest.mark.slow
 def test_the_wire_follows_a_ramp_of_the_ambient_temperature():
     response = simulate(plant(), recording(), step=0.05)
     np.testing.assert_allclose(response.channels["temperature"], lumped_wire(RAMP), atol=2e-5)
@@ -79,6 +80,7 @@ def test_the_wire_follows_a_ramp_of_the_ambient_temperature():
     assert np.max(np.abs(constant - response.channels["temperature"])) > 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "share"), [(Coating, 1.0), (EndConduction, 0.5)])
 def test_a_second_thermal_node_follows_the_ambient_temperature(effect, share):
     node = effect(strength=jnp.asarray(0.4), time_constant=jnp.asarray(2.5))
@@ -87,6 +89,7 @@ def test_a_second_thermal_node_follows_the_ambient_temperature(effect, share):
     np.testing.assert_allclose(response.channels["temperature"], exact, atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [0.5, 0.8])
 @pytest.mark.parametrize("ambient", [RAMP, None])
 def test_a_recorded_fan_cools_the_wire(exponent, ambient):
@@ -101,6 +104,7 @@ def test_a_recorded_fan_cools_the_wire(exponent, ambient):
     np.testing.assert_allclose(without, simulate(plant(), base, step=0.05).channels["temperature"], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_fan_agree_with_finite_differences():
     base = recording()
     inputs = discretise(plant(), dataclasses.replace(base, channels={**base.channels, "fan": FAN}))
@@ -117,6 +121,7 @@ def test_derivatives_of_the_fan_agree_with_finite_differences():
         assert abs(finite[0]) > 0.1
 
 
+@pytest.mark.slow
 def test_the_vector_field_follows_the_ambient_temperature():
     effects = (EndConduction(strength=jnp.asarray(0.3)), TemperatureDistribution(strength=jnp.asarray(0.1)))
     implicit = simulate(plant(*effects), recording(), step=0.02)
@@ -125,6 +130,7 @@ def test_the_vector_field_follows_the_ambient_temperature():
     np.testing.assert_allclose(implicit.channels["displacement"], adaptive.channels["displacement"], atol=2e-7)
 
 
+@pytest.mark.slow
 def test_a_column_of_the_constant_is_the_constant():
     constant = simulate(plant(), recording(None))
     column = simulate(plant(), recording(np.full(len(TIME), 20.0)))
@@ -140,6 +146,7 @@ def test_the_reference_of_the_thermal_strain_stays_constant():
     assert change == pytest.approx(-15.0 * plants.MATERIAL["thermal_expansion_martensite"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_first_row_is_at_the_recorded_ambient_temperature():
     state = init(plant(), np.array([0.0, 27.5]))
     assert float(state.temperature[0]) == 27.5
@@ -179,6 +186,7 @@ def test_longer_and_shorter_steps_keep_the_ambient_temperature_linear():
     assert coarse.pad(400, 200).surroundings == ("ambient",)
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_finite_differences():
     base = discretise(plant(), recording())
 
@@ -236,6 +244,7 @@ def measured(ambient, name):
     return Recording.from_arrays(name, TIME, channels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "recordings",
     [

@@ -103,6 +103,7 @@ def test_pieces_of_a_sample_merge_into_one_step():
     )
 
 
+@pytest.mark.slow
 def test_a_simulation_may_end_where_nothing_is_asked_for_any_more():
     plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 100, 0.08)
     inputs = discretise(plant, recording, step=0.08)
@@ -133,6 +134,7 @@ def test_smoothing_vanishes_on_the_wire_with_first_order():
     assert np.all(np.abs(orders(computed, amounts) - 1.0) < 0.15), computed
 
 
+@pytest.mark.slow
 def test_bias_spring_testing_machine_and_paths_agree_with_the_reference():
     plant, recording = plants.bias_spring(), plants.inputs("bias_spring", 300, 0.05)
     exact = rigs.bias_spring(
@@ -151,6 +153,7 @@ def test_bias_spring_testing_machine_and_paths_agree_with_the_reference():
     assert np.sqrt(np.mean(difference**2)) < 2e-4 * np.ptp(exact.stress)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [k for k in plants.KINDS if k != "bias_spring"])
 def test_every_parameter_has_its_derivative(kind):
     # Where a wire is just slack, at no prestrain or no thermal expansion, the response itself has a kink.
@@ -212,6 +215,7 @@ def test_every_parameter_has_its_derivative(kind):
         assert best < 2e-3, (name, best)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dead_weight", "testing_machine", "light_rotary"])
 def test_random_parameters_give_numbers_or_a_code(kind):
     plant = plants.KINDS[kind]()
@@ -234,6 +238,7 @@ def test_random_parameters_give_numbers_or_a_code(kind):
     assert np.mean(np.asarray(codes) == SimulationStatus.done) > 0.5
 
 
+@pytest.mark.slow
 def test_compiled_equals_eager_and_a_batch_equals_a_loop():
     plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 301, 0.04)
     inputs = discretise(plant, recording, step=0.04)
@@ -304,6 +309,7 @@ def test_swapping_the_wires_turns_the_angle_round():
     )
 
 
+@pytest.mark.slow
 def test_two_wires_with_latent_heat_are_solved_at_every_step():
     """If a transformation begins within a step, there may be no Newton step that decreases the residual; draws where this failed."""
     text = (data_path("recordings", "rotary") / "rig.toml").read_text("utf-8")
@@ -355,6 +361,7 @@ strength = "156 MJ/m^3"
 """
 
 
+@pytest.mark.slow
 def test_two_wires_with_latent_heat_and_narrow_transformations_are_solved_at_every_step():
     """A band that a step crosses has a kink at either end, and Newton's steps that are judged by the next one alone go round between them.
 
@@ -371,6 +378,7 @@ def test_two_wires_with_latent_heat_and_narrow_transformations_are_solved_at_eve
     assert min(swings) > 0.5
 
 
+@pytest.mark.slow
 def test_a_step_as_far_beyond_a_kink_as_it_was_before_is_no_gain():
     """Cases from 100,000 designs: Newton's steps oscillated between two points of equal residual, and eight or nine never converged."""
     rig, swings = read_rig(data_path("recordings", "rotary") / "rig.toml"), []
@@ -394,6 +402,7 @@ def test_a_step_as_far_beyond_a_kink_as_it_was_before_is_no_gain():
     assert swings[0] == pytest.approx(swings[1], rel=0.02) and swings[0] > 0.5
 
 
+@pytest.mark.slow
 def test_light_pulley_is_the_limit_of_small_inertia():
     recording = plants.inputs("rotary", 301, 0.02)
     computed = []
@@ -419,6 +428,7 @@ def test_inertia_rings_as_the_reference_does():
     assert computed[1] < 2e-3 * np.ptp(exact.position)
 
 
+@pytest.mark.slow
 def test_a_wire_cannot_push():
     plant = plants.strain_path()
     strain = np.concatenate([np.linspace(0, 0.01, 300), np.linspace(0.01, -0.01, 500)])

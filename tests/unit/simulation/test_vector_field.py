@@ -31,6 +31,7 @@ DIFFERENCE = 5e-4
 LAGOUDAS = {name: value for name, value in plants.MATERIAL.items() if not name.startswith("detwinning")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dead_weight", "bias_spring"])
 def test_the_implicit_step_converges_to_the_differential_equation(kind):
     plant, recording = plants.KINDS[kind](), plants.inputs(kind, 60, 0.15)
@@ -44,6 +45,7 @@ def test_the_implicit_step_converges_to_the_differential_equation(kind):
     assert np.ptp(np.asarray(exact.state.fractions.martensite)) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("current", "temperature"), [(0.15, None), (0.27, 84.0)])
 def test_the_implicit_step_has_order_four_away_from_the_ends_of_a_transformation(current, temperature):
     """Without a transformation, and within one whose start was before the first sample."""
@@ -85,6 +87,7 @@ def numeric(last_temperature):
     return (ends[0] - ends[1]) / 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("adjoint", [None, dfx.ForwardMode()])
 def test_the_differential_equation_has_its_derivative(adjoint, last_temperature, numeric):
     assert abs(numeric) > 1e-3
@@ -95,6 +98,7 @@ def test_the_differential_equation_has_its_derivative(adjoint, last_temperature,
         assert float(jax.grad(last_temperature)(100.0)) == pytest.approx(numeric, rel=1e-3)  # of the implicit step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("adjoint", "sentence"),
     [
@@ -115,6 +119,7 @@ def test_the_default_adjoint_names_what_has_forward_mode(last_temperature):
         jax.jacfwd(lambda h0: last_temperature(h0, solver=dfx.Tsit5()))(100.0)
 
 
+@pytest.mark.slow
 def test_a_rejected_step_does_not_spoil_the_gradient():
     """Within these samples the solver tries steps at which the search for the rates fails; the gradient was NaN."""
     rig = read_rig(data_path("recordings", "bias-spring", "rig.toml"))
@@ -129,6 +134,7 @@ def test_a_rejected_step_does_not_spoil_the_gradient():
     assert by_diffrax == pytest.approx(implicit, rel=0.01) and abs(implicit) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_solver_without_an_error_estimate_takes_the_steps_of_the_grid():
     plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 12, 0.15)
     exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5()).channels["temperature"]
@@ -156,6 +162,7 @@ def test_what_is_no_solver_of_one_vector_field_is_refused(solver, sentence):
     check_solver(dfx.HalfSolver(dfx.Heun()))
 
 
+@pytest.mark.slow
 def test_the_rates_have_first_derivatives_in_both_modes():
     plant, recording = plants.bias_spring(), plants.inputs("bias_spring", 12, 0.15)
     inputs = discretise(plant, recording)
@@ -183,6 +190,7 @@ def joint() -> Plant:
     return dataclasses.replace(plants.rotary(), mechanism=Joint(Pulley(0.02, 1e-4, 1e-2), Link(0.05, 0.08)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "plant"),
     [("rotary", lambda: plants.rotary(2e-4, 2e-3)), ("rotary", joint), ("limb", lambda: plants.limb(False))],
@@ -199,6 +207,7 @@ def test_the_implicit_step_converges_to_the_equation_of_motion(kind, plant):
     assert errors[1][0] < 2e-3 and errors[1][0] < 0.25 * errors[0][0], errors
 
 
+@pytest.mark.slow
 def test_an_implicit_solver_of_diffrax_solves_the_equation_of_motion():
     plant, recording = plants.rotary(2e-4, 2e-3), plants.inputs("rotary", 40, 0.1)
     results = [simulate(plant, discretise(plant, recording), solver=s) for s in (dfx.Tsit5(), dfx.Kvaerno5())]
@@ -216,6 +225,7 @@ def lagoudas_inputs():
     return plant, plants.recording({"current": current}, time)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [dfx.Tsit5(), dfx.Kvaerno3()])
 def test_fractions_on_the_surface_of_a_driving_force_follow_the_differential_equation(solver, lagoudas_inputs):
     plant, recording = lagoudas_inputs
@@ -245,6 +255,7 @@ def test_inaccurate_derivatives_are_refused(mode, kind, plant):
         mode(last_temperature)(100.0)
 
 
+@pytest.mark.slow
 def test_no_transformation_is_passed_by_a_long_step():
     """A wire is warmed from below its transformation to above it between two samples."""
     plant, recording = plants.rotary(2e-4, 2e-3), plants.inputs("rotary", 12, 0.2)
@@ -255,6 +266,7 @@ def test_no_transformation_is_passed_by_a_long_step():
     np.testing.assert_allclose(exact.channels["angle"], angle, atol=5e-3 * np.ptp(angle))
 
 
+@pytest.mark.slow
 def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
     text = (data_path("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
     effects = '\n[effects.latent-heat]\nstrength = "60 MJ/m^3"\n[effects.coating]\nstrength = "0.5"\n'

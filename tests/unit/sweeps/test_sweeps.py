@@ -215,6 +215,7 @@ def test_bandwidth_between_scan_frequencies_and_its_derivatives():
     assert np.isinf(float(of(0.5, jnp.asarray(0.1), 1.0)))
 
 
+@pytest.mark.slow
 def test_bandwidth_of_a_rig_against_dense_frequencies():
     plant, wave = read_rig(RIG).plant, Excitation("square", 0.3, 0.1, 0.5, 2)
     problem = RigSweepProblem(("heat.h0", "input.amplitude"), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
@@ -233,6 +234,7 @@ def test_bandwidth_of_a_rig_against_dense_frequencies():
     )
 
 
+@pytest.mark.slow
 def test_a_wire_that_still_warms_up_has_not_settled(folder):
     plant = read_rig(RIG).plant
     rows = {}
@@ -305,6 +307,7 @@ def test_summary_of_refined_designs():
     )
 
 
+@pytest.mark.slow
 def test_a_refined_wire_that_still_warms_up_is_counted(folder):
     text = SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "6 Hz"').replace("designs = 130", "designs = 20")
     (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")
@@ -333,6 +336,7 @@ def test_edges_of_waves_are_grid_points():
         assert np.allclose(np.asarray(smooth.after).max(axis=0), 1.0) and np.asarray(smooth.after).min() > -1e-12
 
 
+@pytest.mark.slow
 def test_time_to_cool_through_a_sheath(tmp_path):
     """With a constant h, wire and liner are a linear system. Without heating, or if the wire cools too little, there is no such time."""
     glove = (ROOT / "data" / "recordings" / "glove-finger" / "rig.toml").read_text("utf-8")
@@ -439,6 +443,7 @@ np.savez(sys.argv[2], **found)
 """
 
 
+@pytest.mark.slow
 def test_two_devices_agree_with_one(folder):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "EQX_ON_ERROR": "off"}
     call = [sys.executable, "-c", TWO, str(folder / "sweep.toml"), str(folder / "two.npz")]
@@ -521,6 +526,7 @@ def test_the_recording_of_a_sweep_is_read_with_the_options_of_the_rig(folder):
     assert source.time.tolist() == [0.0, 0.02, 0.04] and source.channels["current"].tolist() == [0.1, 0.3, 0.2]
 
 
+@pytest.mark.slow
 def test_frequency_as_an_axis_and_a_recording_as_input(folder):
     text = SWEEP.replace('input.amplitude = ["0.2 A", "0.4 A"]', 'input.frequency = ["0.2 Hz", "1 Hz"]').replace(
         "cycles = 2", 'cycles = 2\nhighest = "4 Hz"'
@@ -687,6 +693,7 @@ def _command(folder, *more):
     )
 
 
+@pytest.mark.slow
 def test_a_killed_run_and_a_killed_worker_lose_no_design(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace("chunk = 20", "chunk = 4"), "utf-8")
     run(folder, "whole")
@@ -909,6 +916,7 @@ def test_a_design_that_needs_too_much_memory(folder):
     assert not (folder / "out.partial").exists()
 
 
+@pytest.mark.slow
 def test_number_and_spacing_of_wires_as_axes(tmp_path):
     flexural = (ROOT / "data" / "actuators" / "flexural" / "rig.toml").read_text("utf-8")
     (tmp_path / "rig.toml").write_text(flexural.replace("count = 2", 'count = 2\nspacing = "1 mm"'), "utf-8")
@@ -939,6 +947,7 @@ def test_number_and_spacing_of_wires_as_axes(tmp_path):
     assert original.program_index({}) == 2
 
 
+@pytest.mark.slow
 def test_batches_of_soft_bending_in_threads(tmp_path):
     """Several threads simulate batches at once."""
     machine = ROOT / "data" / "actuators" / "soft-bending" / "rig.toml"
@@ -962,6 +971,7 @@ def test_batches_of_soft_bending_in_threads(tmp_path):
     assert np.all(np.diff(rising) > 0.0) and rising[-1] < 0.12
 
 
+@pytest.mark.slow
 def test_example_sweeps_and_an_actuator(tmp_path):
     for path in sorted((ROOT / "data" / "sweeps").glob("*.toml")):
         sweep = read_sweep(path)
