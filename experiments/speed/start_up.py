@@ -4,9 +4,8 @@
 
 Each command runs in a process of its own on the example of ``smajax init dead-weight`` (recordings of 6,001 rows):
 first with an empty cache, and then, with the programs of that run, on another recording of the same kind where there is
-one. Seconds are split into importing, reading, tracing, lowering, compiling, running and writing, each moment counted
-once.
-Commands that take less than two seconds run five times, others as often as the table says; the median counts.
+one. Seconds are split into importing, reading, tracing, lowering, compiling, running and writing; each moment counts
+once. Commands of less than two seconds run five times, others as often as the table says; the median counts.
 """
 
 import shutil
@@ -32,7 +31,7 @@ class Case(NamedTuple):
 
     Attributes:
         name: Name in the table.
-        words: The command with an empty cache.
+        words: The command with an empty cache; ``{run}`` is the number of the run.
         cold: Largest seconds with an empty cache; ``None`` for no target.
         again: The command with the programs of the first run; empty for none.
         warm: Largest seconds of that.
@@ -55,7 +54,7 @@ CASES = (
     Case("a bad cell", "fit example.toml wrong.csv --out r", 1.0, code=2, is_short=True),
     Case("a wrong option", "fit --nothing", 1.0, code=2, is_short=True),
     Case("--help", "--help", 1.0, is_short=True),
-    Case("init", "init hip --out another", 1.0, is_short=True),
+    Case("init", "init hip --out another-{run}", 1.0, is_short=True),
     Case("check, rig", "check example.toml", 2.5, is_short=True),
     Case("explain", "explain at-bound", is_short=True),
     Case("effects", "effects", is_short=True),
@@ -116,7 +115,7 @@ def rows_of(case: Case, folder: Path, repeats: int) -> list[Row]:
     rows = []
     with tempfile.TemporaryDirectory() as cache:
         times = REPEATS if case.is_short else 1
-        runs = [measure(case.words.split(), folder, Path(cache)) for _ in range(times)]
+        runs = [measure(case.words.format(run=run).split(), folder, Path(cache)) for run in range(times)]
         if any(run.code != case.code for run in runs):
             raise RuntimeError(f"'smajax {case.words}' ended with code {runs[0].code}")
         rows.append(row(case.name if case.is_short else f"{case.name}, empty cache", case.cold, runs))

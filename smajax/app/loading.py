@@ -6,6 +6,7 @@ An exception in the import of an extension module would come out as another one,
 import os
 import signal
 import threading
+from pathlib import Path
 from types import FrameType
 
 from smajax.errors import Cancelled, NumericsError
@@ -16,18 +17,18 @@ _ADDRESS_SPACE = 2 * 2**30
 
 
 def check_address_space() -> None:
-    """Check that the system does not limit the address space of this process below what a command needs.
+    """Check that the system does not limit the address space of this process below what a command needs; Linux only.
 
     Raises:
         NumericsError: If it does.
     """
     try:
-        import resource
-    except ImportError:  # Windows has no such limit
+        lines = Path("/proc/self/limits").read_text("utf-8").splitlines()
+    except OSError:  # not Linux
         return
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
-        given, needed = (f"{size // 2**20:,} MiB" for size in (limit, _ADDRESS_SPACE))
+    limit = next((line.split()[3] for line in lines if line.startswith("Max address space")), "unlimited")
+    if limit.isdigit() and int(limit) < _ADDRESS_SPACE:
+        given, needed = (f"{size // 2**20:,} MiB" for size in (int(limit), _ADDRESS_SPACE))
         raise NumericsError(
             f"there is not enough memory for this: the limit of this process is {given}, and {needed} are needed: "
             "raise it ('ulimit -v')"
