@@ -37,7 +37,7 @@ _SHORTAGES = {
 }
 
 
-# Signals that stop a command: Ctrl-C, and what a scheduler sends before it kills a process whose time is over.
+# Signals that stop a command: Ctrl-C, and the signal that a scheduler sends when the time limit of a job is reached.
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -20,11 +20,11 @@ class InterruptWatch:
     """Calls a function at the second Ctrl-C after ``start``, from a thread, and not more than once."""
 
     def __init__(self, signals: Sequence[int], function: Callable[[], object]):
-        """Make a watch; it begins with ``start``.
+        """Count no signals before ``start``.
 
         Args:
             signals: Numbers of the signals that count: that of Ctrl-C, and those that mean the same.
-            function: What ends the process.
+            function: Function that ends the process.
         """
         self._signals, self._function = signals, function
         self._once = threading.Lock()

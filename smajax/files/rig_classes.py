@@ -47,11 +47,11 @@ def without_classes() -> Iterator[None]:
 
 
 def has_installed_classes() -> bool:
-    """Return whether an installed package offers classes of its own, which the tables do not have."""
+    """Return whether an installed package provides classes by entry points, which no shipped table lists."""
     return any(importlib.metadata.entry_points(group=f"smajax.{kind}") for kind in _REGISTRIES)
 
 
 def has_registered_classes() -> bool:
-    """Return whether this process has registered classes of its own, which the tables do not have."""
+    """Return whether classes were registered in this process, which no shipped table lists."""
     loaded = {kind: sys.modules[module] for kind, module in _REGISTRIES.items() if module in sys.modules}
     return any(getattr(module, kind.upper()).is_extended for kind, module in loaded.items())

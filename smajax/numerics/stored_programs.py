@@ -132,8 +132,9 @@ class StoredFunction:
         try:
             program = bytes(jax.export.export(jax.jit(flat))(*shapes).serialize())
             document = json.dumps(encode(results[0])).encode()
-        # Calls of Python, such as checks of equinox, or other results; an error of the function is raised again.
         except (NotImplementedError, ValueError):
+            # jax.export refuses calls of Python, and encode refuses results of other classes. A ValueError of the
+            # function itself is raised again when the caller traces it without storing.
             return None
         body = len(document).to_bytes(_LENGTH_BYTES, "big") + document + program
         return hashlib.sha256(body).digest() + body
