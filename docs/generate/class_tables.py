@@ -14,7 +14,7 @@ from smajax.recordings.datasets import data_path
 
 
 def text() -> str:
-    """Return the content of the file."""
+    """Return the content of the file; classes that were registered in this process are in it, too."""
     controllers = {kind: list(options) for kind, options in controller_kinds().items()}
     return json.dumps(classes_document(LOADED_CLASSES) | {"controllers": controllers}, indent=1) + "\n"
 
