@@ -77,7 +77,7 @@ class ArmFitter:
         self.limits = np.array(limits).T
 
     def _build(self, recording: Recording) -> Problem:
-        return build_problem(self.plant, [recording], self.settings, step=STEP, multiple=128)
+        return build_problem(self.plant, [recording], self.settings, step=STEP)
 
     def fit(
         self,

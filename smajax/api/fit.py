@@ -271,7 +271,7 @@ def _search(inputs: _FitInputs, solver: Any, max_steps: int, reporter: Reporter,
         reporter.step(f"fitting: step {step}{residual}", step)
 
     result, profiles, reason = None, {}, ""
-    phase = "compiling the model and evaluating the starts (later runs with recordings of this size reuse it)"
+    phase = "compiling the model and evaluating the starts (later runs with recordings of similar length reuse it)"
     with clock.time("fit"):
         try:
             reporter.phase(phase, can_stop=True)

@@ -8,7 +8,7 @@ Compiling one set of effects takes longer than a whole search with it, so each p
 - More slots: a set of effects with more parameters than ``SLOTS`` runs on programs with a multiple of as many slots
   (``slot_count``). They are compiled when such a set is first fitted with all its parameters free; the searches among
   candidates free the first ``SLOTS`` parameters of each set.
-- Padding: grids and samples are padded to a multiple of ``PADDING_MULTIPLE``, and all splits to the same number of
+- Padding: grids and samples are padded to a common length (``pad_together``), and all splits to the same number of
   recordings, with weight 0 (``problem_layout``). Training, selection, holdout and proposed inputs run on one program.
 - Two programs: simulation, and simulation with derivatives. Derivatives cost several simulations, so a search computes
   them only where it accepts a step.
@@ -40,9 +40,6 @@ from smajax.simulation.sensitivities import Trajectory
 # Number of effect parameters that the usual programs can free: three effects with a strength and a shape each. More
 # slots make every derivative more expensive.
 SLOTS = 6
-# Grids and samples are padded to a multiple of this number, so that proposed inputs and recordings of similar length
-# run on the same program.
-PADDING_MULTIPLE = 512
 # Relative fall of the cost at which a search ends by default. Chosen by trial.
 RTOL = 1e-7
 

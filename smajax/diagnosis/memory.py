@@ -6,6 +6,7 @@ from smajax.fitting.memory import added_states, free_memory, require_memory
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import count_steps
+from smajax.simulation.padding import padded_length
 
 # Bytes of Python, JAX, and compiling the two programs of one wire with all effects: the peak with 2,000
 # rows of ``smajax diagnose`` in its own process, with an empty cache (experiments/fitting/fit_memory.py).
@@ -26,14 +27,15 @@ def diagnosis_memory(
 
     Args:
         plant: The plant.
-        recordings: Recordings for training, selection and holdout, which are filled up to one length.
+        recordings: Recordings for training, selection and holdout, which are padded to one length.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
 
     Returns:
         The steps of a simulation of the longest recording, and the memory in bytes.
     """
-    steps = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
+    longest = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
+    steps = padded_length(longest)
     return steps, float(_PROGRAMS + (plant.mechanism.wires * _PER_STEP + _NUMBER * added_states(plant)) * steps)
 
 

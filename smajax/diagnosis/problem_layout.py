@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from smajax import parameters
-from smajax.diagnosis.compiled_model import PADDING_MULTIPLE
 from smajax.diagnosis.data_split import TRAIN, DataSplit
 from smajax.diagnosis.step_lengths import steps_per_sample, with_longer_steps
 from smajax.fitting.problem import Problem, build_problem
@@ -115,7 +114,7 @@ class GriddedSplits:
         self._has_clock = all(r.has_clock for r in self.splits[TRAIN].recordings)
         # Built together, so that all grids have the length of the longest.
         everything = [r for split in self.splits for r in split.recordings]
-        whole = build_problem(plant, everything, settings, **grid_options, multiple=PADDING_MULTIPLE)
+        whole = build_problem(plant, everything, settings, **grid_options)
         end = jnp.max(whole.data.inputs.sample_indices)
         whole = dataclasses.replace(whole, data=dataclasses.replace(whole.data, end_index=end))
         largest_weight = np.max(np.asarray(whole.data.weight), axis=(0, 2))

@@ -11,6 +11,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
 from smajax.simulation.inputs import Inputs, count_steps, discretise
+from smajax.simulation.padding import pad_together
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.step_size import time_constant
 
@@ -47,13 +48,9 @@ def bench_responses(plant: Plant, recordings: Sequence[Recording]) -> list[Bench
         recordings: The recordings.
     """
     grids = [grid_of(plant, recording) for recording in recordings]
-    made = [inputs for inputs in grids if inputs is not None]
-    grid = max((len(inputs.time) for inputs in made), default=0)
-    samples = max((len(inputs.sample_indices) for inputs in made), default=0)
+    padded = iter(pad_together([inputs for inputs in grids if inputs is not None]))
     return [
-        blank_response(plant, recording)
-        if inputs is None
-        else response_to(plant, inputs.pad(grid, samples), len(recording))
+        blank_response(plant, recording) if inputs is None else response_to(plant, next(padded), len(recording))
         for recording, inputs in zip(recordings, grids, strict=True)
     ]
 

@@ -10,6 +10,7 @@ from smajax.fitting.unknowns import Settings
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import count_steps
+from smajax.simulation.padding import padded_length
 
 # Bytes of a number of double precision.
 _NUMBER = 8
@@ -48,7 +49,7 @@ class FitMemory(NamedTuple):
     """Steps and memory of a fit.
 
     Attributes:
-        steps: Steps of one simulation of all training recordings, which are filled up to one length.
+        steps: Steps of one simulation of all training recordings, which are padded to one length.
         evaluation: Bytes of one evaluation of residual and Jacobian: trajectory and tangents.
         ends: Bytes of the residual and the Jacobian of one start, with their copies.
         others: Bytes of everything else: programs, recordings, inputs, and the responses at the end.
@@ -118,14 +119,14 @@ def fit_memory(
         step: Longest step in s; the plant's default if not given.
     """
     counts = [count_steps(plant, r, interpolation=interpolation, step=step) for r in (*recordings, *holdout)]
-    steps = len(recordings) * max(counts[: len(recordings)])
-    samples = len(recordings) * max(map(len, recordings)) * len(settings.observe)
+    steps = len(recordings) * padded_length(max(counts[: len(recordings)]))
+    samples = len(recordings) * padded_length(max(map(len, recordings))) * len(settings.observe)
     values = sum(len(r) * (1 + len(r.channels) + len(plant.observable)) for r in (*recordings, *holdout))
     own = len(recordings) * len({*settings.per_recording, *(f"initial.{name}" for name in settings.initial)})
     unknowns = len({*settings.free} - {*settings.per_recording}) + own
     wires, added = plant.mechanism.wires, _STATE_COPIES * added_states(plant)
     # All responses are simulated at once, on grids of one length.
-    responses = max(steps, len(counts) * max(counts))
+    responses = max(steps, len(counts) * padded_length(max(counts)))
     return FitMemory(
         steps=steps,
         evaluation=_NUMBER * (wires * (_PER_SEARCHED_STEP + unknowns) + added) * steps,

@@ -1,8 +1,8 @@
 """The fit of a plant: free parameters, recordings, weights, and the weighted residual as a function of one vector.
 
 The vector has the shared parameters first and then, recording by recording, each recording's own parameters. Its
-entries are the parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different
-length get grids of one length: the inputs of shorter ones are constant after their end, with weight 0, and all are
+entries are the parameters over their ``scale``, so that steps and bounds are of order one. All recordings get grids
+of one length, one of a few (``pad_together``): their inputs are constant after their end, with weight 0, and all are
 simulated as one batch. Rows at which a channel is NaN were not measured and have weight 0, so that one recording may
 have channels of different sampling rates.
 """
@@ -28,6 +28,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
 from smajax.simulation.inputs import Inputs, discretise, recorded_surroundings
+from smajax.simulation.padding import pad_together
 from smajax.simulation.physical_limits import status_with_limits, within_limits
 from smajax.simulation.sensitivities import Trajectory
 from smajax.simulation.status import SimulationStatus
@@ -255,7 +256,6 @@ def build_problem(
     *,
     interpolation: str | None = None,
     step: float | None = None,
-    multiple: int = 1,
 ) -> Problem:
     """Build the fit problem of a plant and recordings.
 
@@ -265,8 +265,6 @@ def build_problem(
         settings: Free parameters, observed channels, bounds and noise.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``; that of the plant by default.
         step: Longest step in s; the plant's default if not given.
-        multiple: Grids and samples are filled up to a multiple of this, so that recordings of similar length share a
-            compiled program.
 
     Returns:
         The problem, with a weight of one over the noise where a channel was measured.
@@ -293,7 +291,7 @@ def build_problem(
     inputs = [discretise(plant, r, **grid) for r in recordings]
     return Problem(
         plant=plant,
-        data=_fit_data(inputs, recordings, tuple(settings.observe), noise, multiple),
+        data=_fit_data(inputs, recordings, tuple(settings.observe), noise),
         scales=jnp.asarray([u.scale for u in unknowns]),
         unknowns=tuple(unknowns),
         channels=tuple(settings.observe),
@@ -307,12 +305,10 @@ def _fit_data(
     recordings: Sequence[Recording],
     channels: tuple[str, ...],
     noise: dict[str, float],
-    multiple: int,
 ) -> FitData:
-    """Inputs, measurements and weights of all recordings, filled up to one length."""
-    grid = -(-max(i.time.shape[0] for i in inputs) // multiple) * multiple
-    samples = -(-max(i.sample_indices.shape[0] for i in inputs) // multiple) * multiple
-    padded = [i.pad(grid, samples) for i in inputs]
+    """Inputs, measurements and weights of all recordings, padded to one length."""
+    padded = pad_together(inputs)
+    samples = len(padded[0].sample_indices)
     batch = jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *padded)
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)

@@ -10,7 +10,8 @@ from smajax.fitting.result import Response
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
-from smajax.simulation.inputs import discretise
+from smajax.simulation.inputs import Inputs, discretise
+from smajax.simulation.padding import pad_together
 from smajax.simulation.physical_limits import without_impossible_rows
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.step_size import default_step
@@ -45,14 +46,14 @@ def simulate_responses(
         half the step; 0 where each row is one step, as for recordings without a clock.
     """
     inputs = [discretise(p, r, interpolation=interpolation, step=step) for p, r in zip(plants, recordings, strict=True)]
-    grid, samples = max(len(i.time) for i in inputs), max(len(i.sample_indices) for i in inputs)
-    results = [run.simulate_inputs(p, i.pad(grid, samples)) for p, i in zip(plants, inputs, strict=True)]
+    padded = pad_together(inputs)
+    results = [run.simulate_inputs(p, i) for p, i in zip(plants, padded, strict=True)]
     responses = []
     for result, recording, role in zip(results, recordings, roles, strict=True):
         model = {c: np.asarray(v)[: len(recording)] for c, v in result.channels.items()}
         model = without_impossible_rows(model, np.asarray(result.possible)[: len(recording)])
         responses.append(Response(recording, role, model, SimulationStatus(int(result.status))))
-    errors = _discretisation_errors(plants[0], responses[0], channels, interpolation, step, (grid, samples))
+    errors = _discretisation_errors(plants[0], responses[0], channels, interpolation, step, padded[0])
     return responses, errors
 
 
@@ -90,26 +91,25 @@ def _discretisation_errors(
     channels: Sequence[str],
     interpolation: str | None,
     step: float | None,
-    lengths: tuple[int, int],
+    longest: Inputs,
 ) -> dict[str, float]:
     """RMS change (SI) of each channel on the first half of a recording with half the step.
 
-    ``lengths`` are those of the grid and of the samples in the compiled program; it is used where the finer grid fits.
+    ``longest`` is a grid of the compiled program, which is used where the finer grid fits.
     """
     recording = response.recording
     count = len(recording) // 2
-    longest = step or default_step(plant)
-    if not recording.has_clock or count < 2 or math.isinf(longest):
+    longest_step = step or default_step(plant)
+    if not recording.has_clock or count < 2 or math.isinf(longest_step):
         return dict.fromkeys(channels, 0.0)
     half = dataclasses.replace(
         recording, time=recording.time[:count], channels={c: v[:count] for c, v in recording.channels.items()}
     )
-    pieces = np.maximum(1, np.ceil(np.diff(half.time) / longest - _ROUNDING))
+    pieces = np.maximum(1, np.ceil(np.diff(half.time) / longest_step - _ROUNDING))
     fine_step = float(np.max(np.diff(half.time) / pieces)) / 2
     inputs = discretise(plant, half, interpolation=interpolation, step=fine_step)
-    grid, samples = lengths
-    if len(inputs.time) <= grid:
-        inputs = inputs.pad(grid, samples)
+    fits = len(inputs.time) <= len(longest.time)
+    inputs = inputs.pad(len(longest.time), len(longest.sample_indices)) if fits else pad_together([inputs])[0]
     fine = run.simulate_inputs(plant, inputs).channels
     changes = {c: np.asarray(fine[c])[:count] - response.model[c][:count] for c in channels}
     return {c: float(np.sqrt(np.mean(v**2))) for c, v in changes.items()}

@@ -14,6 +14,7 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
 from smajax.simulation.inputs import discretise
+from smajax.simulation.padding import pad_together
 from smajax.simulation.status import SimulationStatus
 
 # A wire whose martensite fraction changes by less than this share does not transform: of a usual transformation strain
@@ -99,10 +100,10 @@ def transformation_gap(
         discretise(plant, recording, interpolation=interpolation, step=step)
         for plant, recording in zip([*plants, *[plants[0]] * len(holdout)], [*recordings, *holdout], strict=True)
     ]
-    grid, samples = max(len(g.time) for g in grids), max(len(g.sample_indices) for g in grids)
+    padded = pad_together(grids)
     gaps = []
-    for plant, recording, inputs in zip(plants, recordings, grids[: len(recordings)], strict=True):
-        response = run.simulate_inputs(plant, inputs.pad(grid, samples))
+    for plant, recording, inputs in zip(plants, recordings, padded[: len(recordings)], strict=True):
+        response = run.simulate_inputs(plant, inputs)
         martensite = np.asarray(response.state.fractions.martensite)
         if int(response.status) != SimulationStatus.done or np.max(np.ptp(martensite, axis=0)) > _MIN_CHANGE:
             return None
