@@ -41,8 +41,6 @@ MODEL_COLOURS = (
     "#6b6f76",
     "#1f7a5c",
 )
-# Significant digits of the numbers in a figure: more than any screen shows.
-_DIGITS = 7
 # Height of a panel of weight 1, and the gap between two panels, in pixels.
 _PANEL_PIXELS = 58
 _GAP_PIXELS = 24
@@ -186,8 +184,8 @@ def line_trace(
     trace = go.Scatter(
         mode="lines",
         name=name,
-        x=round_for_json(x[rows]),
-        y=round_for_json(y[rows]),
+        x=single_precision(x[rows]),
+        y=single_precision(y[rows]),
         xaxis=x_axis,
         yaxis=y_axis,
         line={"color": colour, "width": 2.2 if colour == MEASURED else 1.2},
@@ -233,9 +231,15 @@ def thin_note(rows: int, thinned: bool, max_points: int = MAX_POINTS) -> str:
     return f" Of {rows:,} rows the picture draws the lowest and highest of every {math.ceil(2 * rows / max_points)}."
 
 
-def round_for_json(values: Floats) -> list[float | None]:
-    """Round values to seven digits for JSON; values that are not finite become ``None``, a gap in a line."""
-    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, float).tolist()]
+def single_precision(values: Floats) -> np.ndarray:
+    """Return values in single precision, as many digits as a screen shows; plotly encodes such an array as bytes.
+
+    Args:
+        values: Values of any shape; those that are not finite, or too large, become NaN, a gap in a line.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        single = np.asarray(values, np.float32)
+    return np.where(np.isfinite(single), single, np.float32(np.nan))
 
 
 def noise_band(noise: float | None, axis: str) -> list[go.layout.Shape]:

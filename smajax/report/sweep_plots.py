@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, round_for_json
+from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, single_precision
 from smajax.sweeps.sobol import is_resolved
 from smajax.units import from_si
 
@@ -174,12 +174,11 @@ def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) 
         ("satisfies all constraints", feasible_rows, {"color": RESIDUAL, "width": 0.7}),
         ("best", best, {"color": MODEL, "width": 1.6}),
     ):
-        x, y = [], []
-        for row in rows:
-            x += [*range(heights.shape[1]), None]
-            y += [*round_for_json(heights[row]), None]
+        # A gap after each design.
+        y = single_precision(np.pad(heights[rows], ((0, 0), (0, 1)), constant_values=np.nan))
+        x = np.broadcast_to(np.arange(y.shape[1]), y.shape)
         if len(rows):
-            data.append(go.Scatter(mode="lines", name=name, x=x, y=y, line=style, hoverinfo="skip"))
+            data.append(go.Scatter(mode="lines", name=name, x=x.ravel(), y=y.ravel(), line=style, hoverinfo="skip"))
     return data
 
 
@@ -228,8 +227,8 @@ def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], num
     return go.Scatter(
         mode="markers",
         name=name,
-        x=round_for_json(x),
-        y=round_for_json(y),
+        x=single_precision(x),
+        y=single_precision(y),
         marker=marker,
         text=[str(n) for n in numbers],
         hovertemplate="design %{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",

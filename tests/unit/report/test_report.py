@@ -1,5 +1,6 @@
 """The report: sentences, table, figures, and a page that runs only its own scripts and loads nothing."""
 
+import base64
 import copy
 import json
 from html.parser import HTMLParser
@@ -13,7 +14,7 @@ import pytest
 from smajax.errors import InputError
 from smajax.report import pages, prediction, summary
 from smajax.report.documents import FitDocument
-from smajax.report.figures import MAX_POINTS, MAX_POINTS_OF_MANY, round_for_json, thin_rows, time_title
+from smajax.report.figures import MAX_POINTS, MAX_POINTS_OF_MANY, single_precision, thin_rows, time_title
 from smajax.report.parameter_figures import correlation_picture, profile_picture
 from smajax.report.phase_figures import phase_picture
 from smajax.report.prediction import make_series
@@ -138,8 +139,14 @@ class Page(HTMLParser):
 
 
 def drawn(picture: Any) -> Any:
-    """Return data and layout of a figure as plotly.js draws them."""
-    return picture.figure.to_plotly_json()
+    """Return data and layout of a figure as plotly.js draws them, with numbers in place of encoded bytes."""
+    content = picture.figure.to_plotly_json()
+    for trace in content["data"]:
+        for axis in {"x", "y"} & trace.keys():
+            if isinstance(trace[axis], dict):
+                single = np.frombuffer(base64.b64decode(trace[axis]["bdata"]), trace[axis]["dtype"])
+                trace[axis] = single.tolist()
+    return content
 
 
 def page_of(document: dict, recordings: list, rig: str = "[rig]") -> Page:
@@ -242,14 +249,20 @@ def test_figures_are_those_of_plotly():
         assert "title" not in drawn(picture)["layout"]
 
 
+def test_numbers_of_a_figure_are_single_and_leave_gaps_where_they_are_not_finite():
+    single = single_precision(np.array([0.1, -2e9, np.inf, np.nan, 1e300, 1e-300]))
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, [0.1, -2e9, np.nan, np.nan, np.nan, 0.0], rtol=1e-7)
+
+
 def test_the_time_picture_shows_measured_model_residual_and_input():
     recording = series()
     figure = drawn(time_picture(recording, ["displacement"], ["current"], {"displacement": 0.02}))
     measured, model, residual, current = figure["data"]
-    assert list(measured["y"]) == round_for_json(recording.measured["displacement"])
-    assert list(model["y"]) == round_for_json(recording.model["displacement"])
+    assert measured["y"] == pytest.approx(recording.measured["displacement"], rel=1e-6)
+    assert model["y"] == pytest.approx(recording.model["displacement"], rel=1e-6)
     assert residual["y"] == pytest.approx([-1e-3] * 200, rel=1e-5)  # in mm, as the recording
-    assert current["x"][-1] == 3.98
+    assert current["x"][-1] == pytest.approx(3.98, rel=1e-6)
     assert [trace["yaxis"] for trace in figure["data"]] == ["y", "y", "y2", "y3"]
     assert [figure["layout"][axis]["title"]["text"] for axis in ("yaxis", "yaxis2", "yaxis3")] == [
         "displacement [mm]",
