@@ -220,14 +220,21 @@ def evolution_rows(results: list[dict[str, Any]]) -> list[Row]:
     runs = DRAWS * len(results)
     own = sum(result["kept"] or 0 for result in results)
     theirs = sum(result["evolution_kept"] for result in results)
-    ratio = float(np.median([result["evolution_ratio"] for result in results]))
+    ratios = {result["task"]: result["evolution_ratio"] for result in results}
+    judged = [ratios[result["task"]] for result in results if not result["evolution_missed"]]
     costs = [result["evolution_cost_ratio"] for result in results if result["evolution_cost_ratio"] is not None]
     failing = sum(bool(result["evolution_missed"]) for result in results)
     where = "against differential evolution with 20 times the rollouts"
     return [
         Row(f"runs that keep the limits, {where}", "no fewer", f"{own} and {theirs} of {runs}", own >= theirs),
         Row("tasks in which gains of differential evolution miss a limit in the check", "-", str(failing), None),
-        Row(f"median of the RMSE over its RMSE, {where}", f"<= {AS_GOOD}", f"{ratio:.3f}", ratio <= AS_GOOD),
+        Row(
+            "median of the RMSE over its RMSE where its gains keep the limits in the check, as those of the command do",
+            f"<= {AS_GOOD}",
+            f"{np.median(judged):.3f} ({len(judged)} tasks, worst {max(judged):.3f})" if judged else "-",
+            float(np.median(judged)) <= AS_GOOD if judged else None,
+        ),
+        Row("the same of all tasks", "-", f"{np.median(list(ratios.values())):.3f}", None),
         Row(
             "the same for the cost that both minimise, before margins are preferred",
             f"<= {AS_GOOD}",

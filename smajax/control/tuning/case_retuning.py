@@ -163,7 +163,7 @@ def _search(
         task.weights,
         task.limits,
         settle=task.settle,
-        population=not task.settle,
+        near=not task.settle,
         band=task.band,
         progress=lambda count, cost: progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count),
     )

@@ -3,7 +3,7 @@
 Gradients do not help there. The largest temperature or overshoot of a rollout through a hysteresis has derivatives that
 change their sign, or are huge, from one point to the next, and a search that uses them stops early:
 experiments/control/search_methods.py compares SLSQP, trust-constr and an augmented Lagrangian. A loop that barely moves
-keeps all limits, too, so that the best of points that cover the box are starts as well.
+keeps all limits, too, so that the best of points that cover the box is a start as well.
 """
 
 import numpy as np
@@ -15,11 +15,10 @@ from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS
 
 # All constants were chosen by experiments/control/search_methods.py.
 
-# Number of points that cover the box evenly, and how many of the best ones are starts.
+# Number of points that cover the box evenly; the best one is a start.
 _SCAN = 32
-_SCAN_STARTS = 3
 # First radius, last radius and largest number of evaluations of COBYQA from each start.
-_COBYQA = (0.15, 0.004, 80)
+_COBYQA = (0.15, 0.01, 40)
 
 
 def constrained(search: GainSearch, points: Float[np.ndarray, "starts gains"]) -> Float[np.ndarray, " gains"]:
@@ -37,8 +36,7 @@ def constrained(search: GainSearch, points: Float[np.ndarray, "starts gains"]) -
     """
     spread = scipy.stats.qmc.Sobol(points.shape[1], scramble=False).random(_SCAN) + 0.5 / _SCAN
     scanned = [c for k in range(0, _SCAN, BATCH) for c in search.candidates(spread[k : k + BATCH])]
-    best = [candidate.point for candidate in sorted(scanned, key=rank)[:_SCAN_STARTS]]
-    for start in (*points, *best):
+    for start in (*points, min(scanned, key=rank).point):
         search.search_by_cobyqa(start, search.problem, *_COBYQA)
     search.search_by_cobyqa(search.best().point, search.problem, *COBYQA_ALL_MEMBERS)
     return search.best().point

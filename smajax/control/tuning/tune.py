@@ -22,7 +22,7 @@ from smajax.control.tuning.minimise_settling_time import (
     minimise_without_limits,
 )
 from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
-from smajax.control.tuning.population import evolve_population
+from smajax.control.tuning.population import evolve_near, evolve_population
 from smajax.control.tuning.problem import TuningProblem
 from smajax.control.tuning.search import BATCH, VIOLATION_TOLERANCE, GainSearch, rank
 from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS, unconstrained
@@ -99,6 +99,7 @@ def tune(
     *,
     settle: bool = False,
     population: bool = False,
+    near: bool = False,
     starts: int = 1,
     seed: int = 0,
     band: float = SETTLING_BAND,
@@ -111,7 +112,9 @@ def tune(
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
         settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
-        population: Whether a population and quadratic models follow the search by gradients of the terms.
+        population: Whether populations and quadratic models follow the search for the smallest terms.
+        near: Whether the search stays near the loop's own gains: a population near them replaces all other searches
+            before the quadratic models.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
@@ -134,7 +137,7 @@ def tune(
         if settle:
             point = minimise_settling_time(search, minimise_without_limits(search, points))
         else:
-            point = _minimise_terms(search, points, population)
+            point = _minimise_terms(search, points, population, near)
             if limits.get("settling", math.inf) < math.inf:
                 point = meet_settling_limit(search, point, points)
     except KeyboardInterrupt:
@@ -167,13 +170,16 @@ def _check_objective(problem: TuningProblem, weights: Mapping[str, float], settl
 
 
 def _minimise_terms(
-    search: GainSearch, points: Float[np.ndarray, "starts gains"], population: bool
+    search: GainSearch, points: Float[np.ndarray, "starts gains"], population: bool, near: bool
 ) -> Float[np.ndarray, " gains"]:
     """The best point within the limits, if there are any, shape ``(p,)``."""
-    point = (unconstrained if search.has_no_limits else constrained)(search, points)
-    if not population:
-        return point
-    evolved = evolve_population(search, point)
+    if near:
+        evolved = evolve_near(search, points[0])
+    else:
+        point = (unconstrained if search.has_no_limits else constrained)(search, points)
+        if not population:
+            return point
+        evolved = evolve_population(search, point)
     search.search_by_cobyqa(evolved.point, search.problem, *COBYQA_ALL_MEMBERS)
     return search.best().point
 
