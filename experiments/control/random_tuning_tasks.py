@@ -7,7 +7,8 @@ exact simulator of tests/reference, which shares no code with smajax, runs its o
 times, with fresh noise and ambient temperatures within 3 K. A limit counts where the command printed it as kept.
 ``--de`` also searches each task by differential evolution with 20 times the rollouts, for the same objective, limits
 and members, and judges its gains in the same way: usual margins are preferred, the limits are checked on the command's
-cases, and the exact simulator runs them. This takes a minute or two for a task. --quick takes two tasks.
+cases, and the exact simulator runs them. This takes several minutes for a task. With ``--out`` each task is appended to
+DIR/cases.jsonl when it ends, and tasks that are there are not run again. --quick takes two tasks.
 """
 
 import sys
@@ -18,7 +19,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, arguments, finish, say
+from experiments.common.base import Row, add_case, arguments, finish, read_cases, say
 from experiments.common.tuning_tasks import DRAWS, ExactRun, TuningTask, exact_runs, random_task, write_files
 
 import numpy as np
@@ -60,13 +61,17 @@ def main() -> None:
     }
     args = arguments(__doc__ or "", quick="two tasks", more=options)
     tasks = [random_task(k) for k in range(2 if args.quick else args.tasks)]
-    results = []
+    done = {case["task"]: case for case in read_cases(args.out)}
+    resumed, results = bool(done), []
     for task in tasks:
         began = time.perf_counter()
-        results.append(judge(task, args.de))
-        say(f"{task.words}: {results[-1]['words']} ({time.perf_counter() - began:.0f} s)")
+        if task.words not in done:
+            done[task.words] = judge(task, args.de)
+            add_case(args.out, done[task.words])
+            say(f"{task.words}: {done[task.words]['words']} ({time.perf_counter() - began:.0f} s)")
+        results.append(done[task.words])
     words = f" --tasks {args.tasks}" if args.tasks != TASKS and not args.quick else ""
-    finish(rows_of(results), args, words=words + (" --de" if args.de else ""))
+    finish(rows_of(results), args, words=words + (" --de" if args.de else ""), resumed=resumed)
 
 
 def judge(task: TuningTask, evolve: bool) -> dict[str, Any]:
