@@ -722,6 +722,47 @@ def test_a_killed_run_and_a_killed_worker_lose_no_design(folder):
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
+@pytest.mark.slow
+def test_a_killed_scheduler_is_said_and_loses_no_chunk(folder):
+    (folder / "sweep.toml").write_text(SWEEP.replace("chunk = 20", "chunk = 4"), "utf-8")
+    run(folder, "whole")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    place = ["--host", "127.0.0.1", "--port", address.partition(":")[2], "--no-dashboard"]
+    started = [[sys.executable, "-m", "distributed.cli.dask_scheduler", *place]]
+    started.append([sys.executable, "-m", "distributed.cli.dask_worker", f"tcp://{address}", "--no-dashboard"])
+    servers = [
+        subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        for words in started
+    ]
+    try:
+        for _ in range(600):  # until the scheduler answers
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", int(address.partition(":")[2]))):
+                break
+            time.sleep(0.1)
+        process = _command(folder, "--scheduler", f"tcp://{address}")
+        while process.poll() is None and not list((folder / "out.partial").glob("chunk-*.parquet")):
+            time.sleep(0.01)
+        os.killpg(servers[0].pid, signal.SIGKILL)
+        _, errors = process.communicate(timeout=400)
+    finally:
+        for server in servers:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(server.pid, signal.SIGKILL)
+            server.wait()
+    assert process.returncode == 2, errors
+    assert errors.splitlines()[-1] == (
+        "smajax: the connection to the Dask scheduler is lost: start it again, and repeat the run with --resume"
+    )
+    assert list((folder / "out.partial").glob("chunk-*.parquet"))
+    process = _command(folder, "--resume")
+    _, errors = process.communicate(timeout=400)
+    assert process.returncode == 0, errors
+    whole, resumed = (folder / name / "sweep.parquet" for name in ("whole", "out"))
+    assert resumed.read_bytes() == whole.read_bytes()
+
+
 def test_lock_of_a_run_and_check_of_its_chunks(folder):
     text = SWEEP.replace("designs = 130", "designs = 40")
     (folder / "sweep.toml").write_text(text, "utf-8")
