@@ -203,7 +203,8 @@ def _flush(path: Path) -> None:
     """Flush a file or the entries of a folder to the disk; Windows cannot flush folders."""
     if sys.platform == "win32" and path.is_dir():
         return
-    descriptor = os.open(path, os.O_RDONLY)
+    # Windows flushes only what is open for writing.
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

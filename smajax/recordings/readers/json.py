@@ -35,7 +35,6 @@ LINE_SUFFIXES = (".jsonl", ".ndjson")
 _COPIES = 12
 # Rows after which the memory of the columns is checked.
 _ROWS_PER_CHECK = 10_000
-_MISSING = object()
 # Types of cells that are numbers, and the largest of them.
 _NUMBERS = frozenset((int, float))
 _LARGEST = sys.float_info.max
@@ -55,6 +54,7 @@ class JsonTable(Table):
         self._options = options
         self.first_row: int = options.skip_rows + 1
         self._columns: dict[str, array[float]] = {}
+        self._rows = 0
         self._named_lists = False
         # First bad row, and first bad cell of each column, with its row.
         self._bad_row: tuple[int, InputError] | None = None
@@ -81,6 +81,8 @@ class JsonTable(Table):
             if key in self._first_stamps and index not in self.stamps:
                 _, row, text = self._first_stamps[key]
                 raise number_error(f"{self.path}: row {row}, column '{key}'", text, self._options.decimal)
+        for key in keys:
+            self._fill(key, self.first_row + self._rows)
         errors = [self._bad_row] if self._bad_row else []
         errors += [self._bad_cells[key] for key in keys if key in self._bad_cells]
         if errors and not lenient:
@@ -158,6 +160,7 @@ class JsonTable(Table):
 
     def _add(self, row: int, value: Any) -> None:
         """Append a row to the columns."""
+        self._rows += 1
         place = f"{self.path}: row {row}"
         if isinstance(value, list) and self._options.columns is not None:
             value = _named(place, value, self._options.columns)
@@ -171,15 +174,27 @@ class JsonTable(Table):
             value = {}
         if value.keys() == self._columns.keys() and _are_finite(value.values()):  # the same, but fast
             for key, number in value.items():
-                self._columns[key].append(number)
+                column = self._columns[key]
+                if len(column) < row - self.first_row:
+                    self._fill(key, row)
+                column.append(number)
             return
-        cells = dict(_leaves(value))
-        for key in [key for key in cells if key not in self._columns]:
-            self._columns[key] = array("d", [np.nan]) * (row - self.first_row)
-            if row > self.first_row:
-                self._bad_cells[key] = (self.first_row, self._key_error(self.first_row, key))
-        for key, column in self._columns.items():
-            column.append(self._number(row, key, cells.get(key, _MISSING)))
+        for key, cell in dict(_leaves(value)).items():
+            self._columns.setdefault(key, array("d"))
+            self._fill(key, row)
+            self._columns[key].append(self._number(row, key, cell))
+
+    def _fill(self, key: str, row: int) -> None:
+        """Fill a column up to a row that is not filled, so that rows take no time for keys that they do not have."""
+        column = self._columns[key]
+        missing = row - self.first_row - len(column)
+        if not missing:
+            return
+        first = row - missing
+        if key not in self._bad_cells and (self._bad_row is None or self._bad_row[0] > first):
+            error = row_error(f"{self.path}: row {first}, column '{key}': the row has no such key")
+            self._bad_cells[key] = (first, error)
+        column.extend(itertools.repeat(np.nan, missing))
 
     def _number(self, row: int, key: str, cell: Any) -> float:
         """Return the number in a cell, seconds for a time stamp, or NaN; the first bad one of a column is stored."""
@@ -195,16 +210,11 @@ class JsonTable(Table):
             number = float(cell)
         if number is not None:
             return number
-        if key not in self._bad_cells and cell is not _MISSING:
+        if key not in self._bad_cells:
             text = text if isinstance(cell, str) or cell is None else json.dumps(cell)
             error = number_error(f"{self.path}: row {row}, column '{key}'", text, self._options.decimal)
             self._bad_cells[key] = (row, error)
-        elif key not in self._bad_cells and self._bad_row is None:
-            self._bad_cells[key] = (row, self._key_error(row, key))
         return np.nan
-
-    def _key_error(self, row: int, key: str) -> InputError:
-        return row_error(f"{self.path}: row {row}, column '{key}': the row has no such key")
 
 
 def _are_finite(cells: Collection[Any]) -> bool:

@@ -1,5 +1,7 @@
 """Variables of MATLAB files of version 7.3, which are HDF5; needs h5py, the extra ``io``."""
 
+import math
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,10 @@ _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
 # Characters of the longest text that is read, a unit.
 _MAX_TEXT = 2**16
+# Bytes of the largest chunk of a smaller dataset: far above MATLAB's chunks, which have some kilobytes.
+_LARGEST_CHUNK = 16 * 2**20
+# Bytes that HDF5's checksum adds to a chunk.
+_CHECKSUM_BYTES = 4
 _KINDS: dict[str, Kind] = {"char": "text", "struct": "struct", "cell": "other"}
 _CLASS_OF_TYPE = {"f": "double", "i": "int64", "u": "uint64"}
 
@@ -54,7 +60,9 @@ class Mat73Variables(MatVariables):
     def values(self, name: str) -> np.ndarray:
         """Return the values of a variable with real numbers."""
         with self._open() as file:
-            return np.asarray(file[name.replace(".", "/")][()]).T
+            item = file[name.replace(".", "/")]
+            _check_chunks(item)
+            return np.asarray(item[()]).T
 
     def text(self, name: str) -> str:
         """Return the value of a variable with a text, which is stored as numbers of characters."""
@@ -62,6 +70,7 @@ class Mat73Variables(MatVariables):
             codes = file[name.replace(".", "/")]
             if codes.size > _MAX_TEXT:
                 raise ValueError(f"a text has {codes.size} characters")
+            _check_chunks(codes)
             return "".join(chr(int(code)) for code in np.ravel(codes[()].T)).strip()
 
     @contextmanager
@@ -86,9 +95,36 @@ def _member(group: Any, key: str) -> Any:
     import h5py
 
     item = None if isinstance(group.get(key, getlink=True), h5py.ExternalLink) else group.get(key)
-    if item is None or (isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)):
+    # A soft link may lead through a link to another file.
+    is_elsewhere = item is None or item.file.filename != group.file.filename
+    if is_elsewhere or (isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)):
         raise ValueError(f"the values of '{key}' are not in the file")
     return item
+
+
+def _check_chunks(item: Any) -> None:
+    """Refuse a dataset whose chunks unpack to more than its values: HDF5 inflates each as a whole, without a limit."""
+    import h5py
+
+    if item.chunks is None:
+        return
+    size = math.prod(item.chunks) * item.dtype.itemsize
+    if size > max(_LARGEST_CHUNK, item.nbytes):
+        raise ValueError(f"a chunk of {size} bytes has values of {item.nbytes} bytes")
+    filters = item.id.get_create_plist()
+    kinds = [filters.get_filter(k)[0] for k in range(filters.get_nfilters())]
+    if h5py.h5z.FILTER_DEFLATE not in kinds:
+        return
+    if kinds.count(h5py.h5z.FILTER_DEFLATE) > 1:
+        raise ValueError("its values are compressed twice")
+    for k in range(item.id.get_num_chunks()):
+        chunk = item.id.get_chunk_info(k)
+        if chunk.filter_mask >> kinds.index(h5py.h5z.FILTER_DEFLATE) & 1:  # stored without compression
+            continue
+        inflater = zlib.decompressobj()
+        inflater.decompress(item.id.read_direct_chunk(chunk.chunk_offset)[1], size + _CHECKSUM_BYTES)
+        if not inflater.eof:
+            raise ValueError(f"a chunk does not unpack to its {size} bytes")
 
 
 def _described(item: Any) -> MatVariable:

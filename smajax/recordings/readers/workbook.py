@@ -23,8 +23,8 @@ MAX_COLUMNS = 16_384
 # Bytes of the parts that openpyxl holds in memory as a whole, such as the shared texts: about ten times as many then.
 _MAX_HELD_BYTES = MEMORY_LIMIT // 10
 # Sheets compress 5 to 30 times, constant columns up to 60 times (measured), and a repeated tag 1,000 times. A part of
-# this size that compresses more than this is no sheet of measurements.
-_BOMB_BYTES = 16 * 2**20
+# this size that compresses more than this is no sheet of measurements; openpyxl takes 4 s for as many bytes of styles.
+_BOMB_BYTES = 2**19
 _BOMB_RATIO = 200
 # Bytes before the first element of a part, in which a document type would stand.
 _PROLOG_BYTES = 2**16

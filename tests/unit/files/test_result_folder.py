@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import stat
 import subprocess
 import sys
 import time
@@ -73,6 +74,20 @@ def test_a_failure_while_writing_leaves_the_old_folder_and_nothing_else(tmp_path
         results.write_folder(out, {}, fail)
     assert contents(out) == {"fit.json": "old"}
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_files_are_flushed_as_windows_needs_it(tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    modes = []
+
+    def flush(descriptor: int) -> None:  # that of Windows refuses files that are open for reading only
+        is_folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+        modes.append(is_folder or fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_RDWR)
+
+    monkeypatch.setattr(os, "fsync", flush)
+    results.write_folder(tmp_path / "out", {}, fill_with(a_txt="a"))
+    results.replace_file(tmp_path / "out" / "a.txt", "b")
+    assert len(modes) >= 3 and all(modes)
 
 
 def test_numbers_that_json_does_not_have_are_refused(tmp_path):

@@ -297,6 +297,57 @@ def test_values_of_other_files_are_not_read():
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_a_soft_link_does_not_lead_to_another_file():
+    Path("inside.mat").write_bytes(SAMPLES["mat73"][0].content)
+    with h5py.File("other.h5", "w") as file:
+        file["x"] = VECTORS["displacement"][None, :]
+    with h5py.File("inside.mat", "r+") as file:
+        del file["displacement"]
+        file["#other"] = h5py.ExternalLink("other.h5", "/")
+        file["displacement"] = h5py.SoftLink("/#other/x")
+    assert "'displacement' are not in the file" in refused("inside.mat", Path("inside.mat").read_bytes())
+
+
+@pytest.mark.parametrize("compressor", [["gzip"], ["gzip", "fletcher32"]], ids="-".join)
+def test_a_chunk_that_inflates_to_more_than_its_values_is_refused(compressor):
+    Path("chunk.mat").write_bytes(SAMPLES["mat73"][0].content)
+    with h5py.File("chunk.mat", "r+") as file:
+        del file["time"]
+        options = {"compression": "gzip", "fletcher32": "fletcher32" in compressor}
+        values = file.create_dataset("time", data=VECTORS["time"][None, :], chunks=(1, ROWS), **options)
+        assert read_whole("chunk.mat", file)
+        deflater = zlib.compressobj(9)
+        zeros = [deflater.compress(bytes(2**20)) for _ in range(256)]
+        values.id.write_direct_chunk((0, 0), b"".join([*zeros, deflater.flush()]))
+    assert "does not unpack to its" in refused("chunk.mat", Path("chunk.mat").read_bytes())
+
+
+def read_whole(name: str, file: h5py.File) -> bool:
+    """Whether the times of a file that is being written are read as they are."""
+    file.flush()
+    Path(f"copy-{name}").write_bytes(Path(name).read_bytes())
+    recording = read_recording(f"copy-{name}", required=("current",), observed=("displacement",))
+    return recording.time.tolist() == VECTORS["time"].tolist()
+
+
+def test_a_chunk_far_larger_than_its_values_is_refused():
+    Path("chunk.mat").write_bytes(SAMPLES["mat73"][0].content)
+    with h5py.File("chunk.mat", "r+") as file:
+        del file["time"]
+        options = {"chunks": (1, 2**22), "maxshape": (None, None), "compression": "gzip", "fillvalue": 0.0}
+        file.create_dataset("time", shape=(1, ROWS), dtype="f8", **options)
+    assert "a chunk of 33554432 bytes has values of 96 bytes" in refused("chunk.mat", Path("chunk.mat").read_bytes())
+
+
+def test_styles_that_inflate_a_thousandfold_are_refused_at_once():
+    def repeat(parts: dict[str, bytes]) -> None:
+        parts["xl/styles.xml"] = parts["xl/styles.xml"].replace(
+            b"<cellXfs", b"<cellXfs>" + b"<xf/>" * 500_000 + b"</cellXfs><cellXfs"
+        )
+
+    assert "its part 'xl/styles.xml'" in refused("styles.xlsx", changed_workbook(repeat))
+
+
 def test_a_pipe_is_refused_without_waiting_for_its_other_end():
     from smajax.files.rig_file import read_rig
 

@@ -1,6 +1,7 @@
 """JSON lines, and JSON files with rows or columns."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ TABLE = pd.DataFrame(ROWS)
 PLAIN = {"time": ChannelMap("t", "ms"), "current": ChannelMap("drive.i", "mA")}
 NESTED = [{"t": 0, "drive": {"i": 0}}, {"t": 500, "drive": {"i": 1500}}, {"t": 1000, "drive": {"i": 2000}}]
 LISTS = [[0, 0.0, "a"], [0.5, 1.5, "b"], [1.0, 2.0, "c"]]
+# Seconds in which a small file is refused, on a busy machine.
+AT_ONCE = 5.0
 NAMES = ("time [s]", "current [A]", "-")
 
 
@@ -113,3 +116,20 @@ def test_bad_lines_are_dropped_and_counted(read):
     assert recording.notes == ("2 of 6 rows with a blank or unreadable cell dropped on request: row 3, 5",)
     parts = read_recordings("log.jsonl", on_bad_rows="split")
     assert [part.time.tolist() for part in parts] == [[0.0, 0.5, 0.9, 1.0]]
+
+
+def test_rows_with_other_keys_each_are_refused_at_once(read):
+    rows = [{"time [s]": k, "current [A]": 0.1, f"key {k}": 1} for k in range(8000)]
+    begin = time.monotonic()
+    with pytest.raises(InputError, match="'key 0' is not a known channel"):
+        read("a.jsonl", lines(rows))
+    assert time.monotonic() - begin < AT_ONCE
+
+
+def test_a_key_that_rows_lack_is_named_in_the_first_of_them(read):
+    rows = [ROWS[0], {"time [s]": 0.5}, ROWS[1] | {"time [s]": 0.8}, {"time [s]": 0.9}, ROWS[2]]
+    with pytest.raises(InputError, match="row 2, column 'current \\[A\\]': the row has no such key"):
+        read("a.jsonl", lines(rows))
+    assert read("a.jsonl", lines(rows), drop_bad_rows=True).time.tolist() == [0, 0.8, 1.0]
+    with pytest.raises(InputError, match="row 1, column 'current \\[A\\]': the row has no such key"):
+        read("a.jsonl", lines([{"time [s]": -1.0}, *ROWS]))
