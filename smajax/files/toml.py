@@ -30,6 +30,10 @@ _MAX_LISTED = 8
 _SHOWN_CHARACTERS = 60
 # Tables and lists in each other, far above what a file of smajax has.
 _MAX_DEPTH = 16
+# Parts of the longest key, above the tables that may be in each other: tomllib needs memory by the square of them.
+_MAX_KEY_PARTS = 64
+_KEY_PART = r"(?:[\w\-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_DOTTED_KEY = re.compile(rf"{_KEY_PART}(?:[ \t]*+\.[ \t]*+{_KEY_PART})*+")
 # Smallest whole number that TOML, which has 64 bits, does not have.
 _TOO_LARGE = 2**63
 _HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
@@ -118,6 +122,10 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     Raises:
         InputError: If the text is not TOML; the message names row, column and cure.
     """
+    for key in _DOTTED_KEY.finditer(text):
+        if key[0].count(".") > _MAX_KEY_PARTS and len(re.findall(_KEY_PART, key[0])) > _MAX_KEY_PARTS:
+            row = text.count("\n", 0, key.start()) + 1
+            raise InputError(f"{name}: row {row}: a key has more than {_MAX_KEY_PARTS} parts: correct it")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

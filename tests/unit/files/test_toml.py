@@ -2,16 +2,20 @@
 
 import math
 import struct
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smajax.errors import InputError
 from smajax.files.parameter_sets import Entry, read_header, read_parameters, write_parameters
 from smajax.files.templates import write_example
 from smajax.files.toml import parse_toml, render_toml
 
+# Seconds in which a text is read or refused, on a busy machine.
+AT_ONCE = 5.0
 # Surrogates are not text in UTF-8.
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 KEYS = st.one_of(TEXTS, st.sampled_from(["heat.h0", "heat.h0@my run.csv", "", "a b", '"', "\\", "é", "1", "[x]", "#"]))
@@ -84,3 +88,24 @@ def test_comments_of_a_template_stay_in_their_column(tmp_path, kind):
     lines = [line for line in rig.splitlines() if line.startswith(("kind", "control", "interpolation"))]
     assert len(lines) == 3 and len({line.index("#") for line in lines}) == 1
     assert parse_toml(rig, "rig.toml")["rig"]["control"] == "current"
+
+
+@pytest.mark.parametrize(
+    "key", ["a" + ".a" * 50_000 + " = 1", "[" + " . ".join(["'a'"] * 50_000) + "]", "x = {" + "a." * 9000 + "a = 1}"]
+)
+def test_a_key_of_many_parts_is_refused_at_once(key):
+    begin = time.monotonic()
+    with pytest.raises(InputError, match="row 2: a key has more than 64 parts"):
+        parse_toml(f"schema = 1\n{key}\n", "a.toml")
+    assert time.monotonic() - begin < AT_ONCE
+
+
+@pytest.mark.parametrize("text", ["'" + "." * 900 + "'", "'" + "a.b " * 900 + "'", f"1 # {'.' * 900}"])
+def test_texts_and_comments_may_have_many_dots(text):
+    assert "note" in parse_toml(f"note = {text}\n", "a.toml")
+
+
+def test_a_long_text_without_dots_takes_no_time():
+    begin = time.monotonic()
+    assert parse_toml(f"note = '{'a' * 900_000}'\n", "a.toml")
+    assert time.monotonic() - begin < AT_ONCE
