@@ -25,8 +25,12 @@ class Commands(TyperGroup):
             return super().main(*args, standalone_mode=False, **extra)
         try:
             code = super().main(*args, standalone_mode=False, **extra)
-        except typer.Abort:  # the end of the input at a question
+        except (typer.Abort, SystemExit):  # the end of the input at a question; the output of --help was closed
             sys.exit(Cancelled.exit_code)
+        except OSError as error:  # in the output of --help or --version
+            from smajax.app.console import exit_code
+
+            sys.exit(exit_code(error))
         except Exception as error:
             if not hasattr(error, "format_message"):
                 raise
