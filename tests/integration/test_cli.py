@@ -362,6 +362,25 @@ def test_the_end_of_a_schedulers_time_keeps_the_best_point(bench, fitted, monkey
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="needs a limit of processor time")
+def test_the_end_of_the_processor_time_keeps_the_best_point(bench, fitted, monkeypatch):
+    """The signal comes each second, and is no second Ctrl-C."""
+
+    def step(self, text):
+        for _ in range(2):
+            signal.raise_signal(signal.SIGXCPU)
+
+    before = signal.getsignal(signal.SIGXCPU)
+    monkeypatch.setattr(Progress, "step", step)
+    try:
+        result = smajax("fit", bench / "rig.toml", bench / "train.csv", "--out", bench / "out-of-time")
+        signal.raise_signal(signal.SIGXCPU)
+    finally:
+        signal.signal(signal.SIGXCPU, before)
+    assert result.exit_code == 130, result.output
+    assert json.loads((bench / "out-of-time" / "fit.json").read_text())["solver"]["code"] == "interrupted"
+
+
 def test_a_small_address_space_is_refused(bench):
     """In processes of their own; with the space that is said to be needed a simulation runs."""
     if not Path("/proc/self/limits").exists():
