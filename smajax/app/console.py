@@ -167,7 +167,9 @@ def exit_code(error: BaseException) -> int:
 
 def _shortage(error: BaseException) -> str:
     """Return the sentence on an error that a lack of memory, disk or processes causes; empty for another error."""
-    memory = "there is not enough memory for this: cut the recordings into parts, or lower --starts"
+    memory = (
+        "there is not enough memory for this: cut the recordings into parts, or lower --starts, or chunk of a sweep"
+    )
     if isinstance(error, MemoryError) or any(text in str(error) for text in _OUT_OF_MEMORY):
         return memory
     if "can't start new thread" in str(error):

@@ -91,7 +91,7 @@ def test_absolute_paths_do_not_need_the_working_folder(tmp_path):
     [
         (OSError(errno.ENOSPC, "No space left on device"), "make room on the disk", 3),
         (OSError(errno.EMFILE, "Too many open files", "a.csv"), "a.csv: the system refuses (Too many open files)", 3),
-        (MemoryError(), "there is not enough memory for this", 3),
+        (MemoryError(), "lower --starts, or chunk of a sweep", 3),
         (
             RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes"),
             "there is not enough memory for this",
