@@ -102,7 +102,7 @@ class CommandProgress:
 
     def _handle(self) -> None:
         if not self._handling and threading.current_thread() is threading.main_thread():
-            numbers = list(_STOPPING)
+            numbers: list[int] = list(_STOPPING)
             if _OUT_OF_TIME is not None and signal.getsignal(_OUT_OF_TIME) != signal.SIG_IGN:
                 numbers.append(_OUT_OF_TIME)
             self._previous = {number: signal.signal(number, self._on_interrupt) for number in numbers}
