@@ -2,13 +2,14 @@
 
 import sys
 
-from smajax.app.loading import end_on_interrupt, exit_on_interrupt
+from smajax.app.loading import end_on_interrupt, exit_on_interrupt, interrupt_at_time_limits
 from smajax.errors import Cancelled
 
 
 def main() -> None:
     """Run the ``smajax`` command."""
     exit_on_interrupt()
+    interrupt_at_time_limits()
     from smajax.app.cli import app
     from smajax.app.output import escape_what_cannot_be_encoded
 

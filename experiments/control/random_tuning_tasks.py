@@ -123,7 +123,7 @@ def evolution(task: TuningTask, study: TuningStudy, tuned: list[ExactRun]) -> di
     problem = tuning_problem(settings, {}, settings.seed)
     search = GainSearch(problem, make_objective(settings.weights, settings.limits), lambda count, cost: None)
     best = evolved(search, BUDGET * study.document["rollouts"])
-    own = search.candidates(tune_gains(problem, settings.weights, settings.limits, population=True).point[None])[0]
+    own = search.candidates(tune_gains(problem, settings.weights, settings.limits, population="all").point[None])[0]
     result, check = judged(settings, problem, search, best)
     values = {name: float(gain(settings.loop, name)) for name in gains(settings.loop)} | result.gains
     runs = exact_runs(task, values)

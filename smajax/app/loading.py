@@ -11,13 +11,19 @@ from types import FrameType
 
 from smajax.errors import Cancelled, NumericsError
 
-# Bytes of address space that a command needs at least. JAX's compiler ends the process where it gets none, without an
-# error that could be reported; test_a_small_address_space_is_refused in tests/integration/test_cli.py holds it.
-_ADDRESS_SPACE = 2 * 2**30
+# Bytes of address space that a command needs at least: one with few programs, with many, and with wide batches. JAX's
+# compiler ends the process where it gets none, without an error that could be reported. Found with an empty cache;
+# test_a_small_address_space_is_refused in tests/integration/test_cli.py holds the first.
+FEW_PROGRAMS, MANY_PROGRAMS, WIDE_PROGRAMS = 2 * 2**30, 3 * 2**30, 4 * 2**30
+# Signals of a scheduler and of the system (``ulimit -St``); Windows has no limit of processor time.
+_AT_TIME_LIMITS = [getattr(signal, name) for name in ("SIGTERM", "SIGXCPU") if hasattr(signal, name)]
 
 
-def check_address_space() -> None:
+def check_address_space(needed: int) -> None:
     """Check that the system does not limit the address space of this process below what a command needs; Linux only.
+
+    Args:
+        needed: Bytes that the command needs.
 
     Raises:
         NumericsError: If it does.
@@ -27,11 +33,10 @@ def check_address_space() -> None:
     except OSError:  # not Linux
         return
     limit = next((line.split()[3] for line in lines if line.startswith("Max address space")), "unlimited")
-    if limit.isdigit() and int(limit) < _ADDRESS_SPACE:
-        given, needed = (f"{size // 2**20:,} MiB" for size in (int(limit), _ADDRESS_SPACE))
+    if limit.isdigit() and int(limit) < needed:
         raise NumericsError(
-            f"there is not enough memory for this: the limit of this process is {given}, and {needed} are needed: "
-            "raise it ('ulimit -v')"
+            f"there is not enough memory for this: the limit of this process is {int(limit) // 2**20:,} MiB, and "
+            f"{needed // 2**20:,} MiB are needed: raise it ('ulimit -v')"
         )
 
 
@@ -40,6 +45,13 @@ def exit_on_interrupt() -> None:
     in_main_thread = threading.current_thread() is threading.main_thread()
     if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _exit)
+
+
+def interrupt_at_time_limits() -> None:
+    """Let the signals at the time limit of a process, which would kill it, do what Ctrl-C does."""
+    for number in _AT_TIME_LIMITS:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _interrupt)
 
 
 def end_on_interrupt(code: object) -> None:
@@ -58,6 +70,16 @@ def raise_on_interrupt() -> None:
     """Let Ctrl-C raise ``KeyboardInterrupt`` after ``exit_on_interrupt``."""
     if signal.getsignal(signal.SIGINT) is _exit:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    # SIGXCPU comes again each second; a process of the background ignores SIGINT.
+    signal.signal(number, signal.SIG_IGN if callable(on_interrupt) else signal.SIG_DFL)
+    if callable(on_interrupt):
+        on_interrupt(number, frame)
+    else:
+        signal.raise_signal(number)
 
 
 def _exit(number: int, frame: FrameType | None) -> None:

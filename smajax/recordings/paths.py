@@ -95,6 +95,24 @@ def unreadable(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: the file cannot be read ({reason}): check its permissions")
 
 
+class UnwrittenFile(InputError):
+    """A file that cannot be written.
+
+    Attributes:
+        reason: Why, in the words of the system.
+    """
+
+    def __init__(self, path: Path, error: OSError):
+        """Make the sentence.
+
+        Args:
+            path: The file.
+            error: The error of the system.
+        """
+        self.reason = str(error.strerror or error)
+        super().__init__(f"{path}: the file cannot be written ({self.reason}): check the folder")
+
+
 @contextlib.contextmanager
 def replacing(path: Path, part: Path | None = None) -> Iterator[Path]:
     """Yield the path of a temporary file that replaces a file when the context ends without an error.
@@ -104,13 +122,13 @@ def replacing(path: Path, part: Path | None = None) -> Iterator[Path]:
         part: The temporary file, on the same disk; a hidden file in the same folder by default.
 
     Raises:
-        InputError: If the file cannot be written.
+        UnwrittenFile: If the file cannot be written.
     """
     part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
         os.replace(part, path)
     except OSError as error:
-        raise InputError(f"{path}: the file cannot be written ({error.strerror or error}): check the folder") from None
+        raise UnwrittenFile(path, error) from None
     finally:
         part.unlink(missing_ok=True)

@@ -381,6 +381,18 @@ def test_the_end_of_the_processor_time_keeps_the_best_point(bench, fitted, monke
     assert json.loads((bench / "out-of-time" / "fit.json").read_text())["solver"]["code"] == "interrupted"
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="needs a limit of processor time")
+def test_the_end_of_the_processor_time_while_packages_are_loaded(bench):
+    """In a process of its own with one second, which JAX takes to load."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, resource.RLIM_INFINITY)); "
+    call = [sys.executable, "-c", limit + "from smajax.__main__ import main; main()"]
+    words = ["fit", "rig.toml", "train.csv", "--out", "no-time", "--max-steps", "1"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    result = subprocess.run([*call, *words], cwd=bench, env=environment, capture_output=True, text=True)
+    assert result.returncode == 130, result.stderr
+    assert result.stderr.splitlines()[-1] == "smajax: interrupted; nothing was written"
+
+
 def test_a_small_address_space_is_refused(bench):
     """In processes of their own; with the space that is said to be needed a simulation runs."""
     if not Path("/proc/self/limits").exists():

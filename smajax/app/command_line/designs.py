@@ -8,6 +8,7 @@ import typer
 from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Json, Open, Out, Quiet, RigFile, Seed
 from smajax.app.command_line.run import argv, finish_run, start_run
+from smajax.app.loading import MANY_PROGRAMS, WIDE_PROGRAMS
 
 
 def tune(
@@ -23,7 +24,7 @@ def tune(
 ) -> None:
     """Tune a controller's gains in its closed loop with the rig; write them for a microcontroller."""
     check_files(toml={"rig": rig, "controller": controller}, out=out)
-    with start_run(quiet) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
         from smajax.api.tune import tune as tune_gains
 
         study = tune_gains(rig, controller, seed=seed, progress=progress)
@@ -50,8 +51,8 @@ def sweep(
     open_report: Open = False,
 ) -> None:
     """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
-    check_files(toml={"sweep": sweep_file})
-    with start_run(quiet, accelerator=True) as progress:
+    check_files(toml={"sweep": sweep_file}, out=out)
+    with start_run(quiet, accelerator=True, address_space=WIDE_PROGRAMS) as progress:
         from smajax.api.sweep import sweep as simulate_designs
 
         study = simulate_designs(

@@ -10,6 +10,7 @@ from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Auto, Open, Quiet
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
+from smajax.app.loading import MANY_PROGRAMS
 from smajax.app.output import say, say_on_stderr
 from smajax.errors import InputError
 
@@ -50,7 +51,7 @@ def demo(
     from smajax.recordings.datasets import data_path
 
     folder = data_path("recordings", "dead-weight-unexplained")
-    with start_run(quiet) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
         train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))

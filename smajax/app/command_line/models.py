@@ -23,6 +23,7 @@ from smajax.app.command_line.options import (
 )
 from smajax.app.command_line.reading import NO_CHANGES, Reading, rig_with_reading, with_reading
 from smajax.app.command_line.run import argv, finish_run, start_run
+from smajax.app.loading import MANY_PROGRAMS, WIDE_PROGRAMS
 from smajax.arguments import MAX_STARTS
 
 
@@ -154,7 +155,7 @@ def diagnose(
 ) -> None:
     """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
     check_files(toml={"rig": rig}, recordings=[train, select, holdout], out=out, reading=reading)
-    with start_run(quiet) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
         study = diagnose_into(
@@ -193,7 +194,7 @@ def compare(
     """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
     names = None if models is None else [word.strip() for word in models.split(",") if word.strip()]
     check_files(toml={"rig": rig}, recordings=[train, holdout], out=out, reading=reading)
-    with start_run(quiet) as progress:
+    with start_run(quiet, address_space=WIDE_PROGRAMS) as progress:
         from smajax.api.compare import compare as compare_models
 
         study = compare_models(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from smajax.app.loading import check_address_space, exit_on_interrupt
+from smajax.app.loading import FEW_PROGRAMS, check_address_space, exit_on_interrupt
 from smajax.app.output import say, say_json, say_on_stderr
 from smajax.errors import Cancelled
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from smajax.app.console import CommandProgress
 
 
-def start_run(quiet: bool, accelerator: bool = False) -> "CommandProgress":
+def start_run(quiet: bool, accelerator: bool = False, address_space: int = FEW_PROGRAMS) -> "CommandProgress":
     """Show progress and configure JAX; call it before importing modules that use JAX.
 
     Until the first event, Ctrl-C ends the process.
@@ -23,12 +23,13 @@ def start_run(quiet: bool, accelerator: bool = False) -> "CommandProgress":
     Args:
         quiet: Whether no progress is shown.
         accelerator: Whether JAX may use an accelerator.
+        address_space: Bytes of address space that the command needs.
 
     Raises:
         NumericsError: If the process may not have the memory that JAX needs.
     """
     exit_on_interrupt()
-    check_address_space()
+    check_address_space(address_space)
     from smajax.app.console import CommandProgress
     from smajax.numerics.process import prepare_jax
     from smajax.progress import Progress

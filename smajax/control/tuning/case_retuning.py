@@ -163,7 +163,7 @@ def _search(
         task.weights,
         task.limits,
         settle=task.settle,
-        near=not task.settle,
+        population="none" if task.settle else "near",
         band=task.band,
         progress=lambda count, cost: progress.step(f"tuning: {count} rollouts, cost {cost:.4g}", count),
     )

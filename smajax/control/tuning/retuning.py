@@ -118,7 +118,7 @@ def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, pr
         task.weights,
         task.limits,
         settle=task.settle,
-        population=not task.settle,
+        population="none" if task.settle else "all",
         starts=starts,
         seed=seed,
         band=task.band,

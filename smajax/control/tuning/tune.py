@@ -7,7 +7,7 @@ cost of a closed loop has several minima, and gradients lead to the nearest one.
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +37,8 @@ _LATEST_REACHED = 8
 # Chosen by experiments/control/random_tuning_tasks.py.
 _ALTERNATIVES = 16
 _COST_RATIO = 1.03
+# Populations of a search: none, over the box and near the best gains, or near the loop's own gains.
+Populations = Literal["none", "all", "near"]
 
 
 class TuningResult(NamedTuple):
@@ -98,8 +100,7 @@ def tune(
     limits: Mapping[str, float],
     *,
     settle: bool = False,
-    population: bool = False,
-    near: bool = False,
+    population: Populations = "none",
     starts: int = 1,
     seed: int = 0,
     band: float = SETTLING_BAND,
@@ -112,9 +113,8 @@ def tune(
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
         settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
-        population: Whether populations and quadratic models follow the search for the smallest terms.
-        near: Whether the search stays near the loop's own gains: a population near them replaces all other searches
-            before the quadratic models.
+        population: Populations in the search for the smallest terms, before quadratic models: ``all`` follow the other
+            searches, and ``near`` is one near the loop's own gains that replaces these.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
@@ -137,7 +137,7 @@ def tune(
         if settle:
             point = minimise_settling_time(search, minimise_without_limits(search, points))
         else:
-            point = _minimise_terms(search, points, population, near)
+            point = _minimise_terms(search, points, population)
             if limits.get("settling", math.inf) < math.inf:
                 point = meet_settling_limit(search, point, points)
     except KeyboardInterrupt:
@@ -170,14 +170,14 @@ def _check_objective(problem: TuningProblem, weights: Mapping[str, float], settl
 
 
 def _minimise_terms(
-    search: GainSearch, points: Float[np.ndarray, "starts gains"], population: bool, near: bool
+    search: GainSearch, points: Float[np.ndarray, "starts gains"], population: Populations
 ) -> Float[np.ndarray, " gains"]:
     """The best point within the limits, if there are any, shape ``(p,)``."""
-    if near:
+    if population == "near":
         evolved = evolve_near(search, points[0])
     else:
         point = (unconstrained if search.has_no_limits else constrained)(search, points)
-        if not population:
+        if population == "none":
             return point
         evolved = evolve_population(search, point)
     search.search_by_cobyqa(evolved.point, search.problem, *COBYQA_ALL_MEMBERS)

@@ -113,6 +113,8 @@ def _check_chunks(item: Any) -> None:
         raise ValueError(f"a chunk of {size} bytes has values of {item.nbytes} bytes")
     filters = item.id.get_create_plist()
     kinds = [filters.get_filter(k)[0] for k in range(filters.get_nfilters())]
+    if set(kinds) - {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
+        raise ValueError("its values are compressed in a way that MATLAB does not use")
     if h5py.h5z.FILTER_DEFLATE not in kinds:
         return
     if kinds.count(h5py.h5z.FILTER_DEFLATE) > 1:

@@ -216,3 +216,21 @@ def test_one_file_is_replaced_completely(tmp_path):
     results.replace_file(out / "report.html", "new")
     assert (out / "report.html").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_file_that_cannot_be_written_is_told_by_the_name_of_the_folder(tmp_path, monkeypatch):
+    from smajax.recordings.recording import Recording
+
+    recording = Recording.from_arrays("a.csv", [0.0, 1.0], {"current": [0.0, 0.1]}, {"current": "A"})
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("smajax.recordings.paths.os.replace", full)
+    with pytest.raises(InputError) as refusal:
+        results.write_folder(tmp_path / "out", {}, lambda folder: recording.write(folder / "simulation.csv"))
+    text = (
+        f"{tmp_path / 'out'}: the result cannot be written (No space left on device): make room, or name another --out"
+    )
+    assert str(refusal.value) == text
+    assert not list(tmp_path.iterdir())

@@ -322,6 +322,14 @@ def test_a_chunk_that_inflates_to_more_than_its_values_is_refused(compressor):
     assert "does not unpack to its" in refused("chunk.mat", Path("chunk.mat").read_bytes())
 
 
+def test_a_compression_that_matlab_does_not_use_is_refused():
+    Path("chunk.mat").write_bytes(SAMPLES["mat73"][0].content)
+    with h5py.File("chunk.mat", "r+") as file:
+        del file["time"]
+        file.create_dataset("time", data=VECTORS["time"][None, :], compression="lzf")
+    assert "in a way that MATLAB does not use" in refused("chunk.mat", Path("chunk.mat").read_bytes())
+
+
 def read_whole(name: str, file: h5py.File) -> bool:
     """Whether the times of a file that is being written are read as they are."""
     file.flush()
