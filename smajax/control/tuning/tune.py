@@ -113,8 +113,7 @@ def tune(
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
         settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
-        population: Populations in the search for the smallest terms, before quadratic models: ``all`` follow the other
-            searches, and ``near`` is one near the loop's own gains that replaces these.
+        population: Populations in the search for the smallest terms; ``near`` replaces the searches before them.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
