@@ -6,6 +6,7 @@ Each fit is ``python -m smajax fit`` in a separate process with an empty cache, 
 Recordings are simulated with other parameters than the start values, and have white noise:
 
 - 3,000 rows over ten minutes, and 200,000 rows at 50 Hz, of the shipped dead-weight rig, within 2 GiB.
+- 12, 25 and 50 recordings of 10,000 rows each, within 4 GiB and in a time that is linear in their number.
 - A path with a time column whose rows are a microsecond or an hour apart, irregular or repeated: the estimates, the
   time and the memory of the same path without a clock.
 - Fits of other sizes, which end after two steps: the peak next to ``smajax.fitting.memory.fit_memory``, whose constants
@@ -36,6 +37,9 @@ from smajax.simulation.run import simulate
 
 GIB = 2**30
 LIMIT = 2 * GIB
+# The same for fifty recordings, and the growth of the time with their number that counts as linear: up to a tenth, by
+# which compilations differ.
+LARGEST, EXPONENT = 4 * GIB, 1.1
 # An estimate may be as much too low as the share of the free memory that a fit does not take.
 LOWEST_ESTIMATE = 0.8
 # Standard deviations of the noise, SI.
@@ -161,6 +165,34 @@ def long_recording(folder: Path, rows: int, period: float) -> Row:
     return Row(f"{rows:,} rows, {period:g} s apart", "converged within 2 GiB", text, met, numbers)
 
 
+def many_recordings(folder: Path, counts: tuple[int, ...], rows: int) -> list[Row]:
+    """Fit several numbers of recordings of a dead-weight rig to the end."""
+    rig, peaks = shipped_rig("dead-weight"), []
+    recordings = [made_recording(rig, f"{k}.csv", rows, 0.02, k) for k in range(counts[-1])]
+    for count in counts:
+        say(f"{count} recordings of {rows:,} rows ...")
+        peak, document = run_fit(folder / f"several{count}", rig, recordings[:count])
+        if document["solver"]["code"] != "converged":
+            raise RuntimeError(f"the fit to {count} recordings ended with {document['solver']['code']}")
+        peaks.append(peak)
+    more, longer = np.diff(counts), np.diff([peak.seconds for peak in peaks])  # without compiling
+    exponent = float(np.log(longer[-1] / longer[0]) / np.log(more[-1] / more[0]))
+    memory = [f"{count}: {peak.memory / GIB:.2f} GiB" for count, peak in zip(counts, peaks, strict=True)]
+    seconds = [f"{count}: {peak.seconds:.0f} s" for count, peak in zip(counts, peaks, strict=True)]
+    what, numbers = f"recordings of {rows:,} rows each", [peak._asdict() | {"output": ""} for peak in peaks]
+    met = peaks[-1].memory <= LARGEST
+    return [
+        Row(f"{what}: memory", f"<= {LARGEST / GIB:.0f} GiB", ", ".join(memory), met, {"peaks": numbers}),
+        Row(f"{what}: time", "-", ", ".join(seconds), None),
+        Row(
+            f"{what}: growth of the time, compiling left out",
+            f"exponent <= {EXPONENT}",
+            f"{exponent:.2f}",
+            exponent <= EXPONENT,
+        ),
+    ]
+
+
 def clocks(folder: Path, rows: int, count: int = 4) -> list[Row]:
     """Fit one path without a clock, and with several; the first ``count`` of them all."""
     rig = shipped_rig("isobaric")
@@ -230,6 +262,7 @@ def main() -> None:
         for count, period in ((3_000, 0.2),) if options.quick else ((3_000, 0.2), (200_000, 0.02)):
             say(f"{count:,} rows ...")
             rows.append(long_recording(folder / f"long{count}", count, period))
+        rows += many_recordings(folder, *(((2, 4, 8), 1_000) if options.quick else ((12, 25, 50), 10_000)))
         if not options.quick:
             rows += [diagnosis_row(folder / f"diagnosis{n}", n, p) for n, p in ((2_000, 0.05), (20_000, 0.02))]
     finish(rows, options)
