@@ -36,7 +36,6 @@ detwinning_start_stress = "0 MPa"
 max_transformation_strain = "4 %"
 """
 
-GRID_MULTIPLE = 128  # rows up to a multiple of it share a compiled program
 STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
 SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value or of 0.3
 REFINED = (1, 8)  # numbers by which the time step of a simulation is divided in turn, until all steps are solved
@@ -129,7 +128,7 @@ class EffectFitter:
 
     def _build(self, recording: Recording, refined: int = 1) -> Problem:
         step = self.step / refined
-        return build_problem(self.plant, [recording], self.settings, step=step, multiple=GRID_MULTIPLE)
+        return build_problem(self.plant, [recording], self.settings, step=step)
 
     def _scaled(self, problem: Problem) -> Problem:
         """Return the problem with an effect's typical strength as the scale of its strength."""

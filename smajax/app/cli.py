@@ -14,6 +14,8 @@ from smajax.errors import Cancelled
 
 # Packages whose exceptions are usage errors and exits, which typer handles.
 _TYPER_MODULES = ("typer", "click")
+# Exit code of click where its own output was closed, as in `smajax --help | head -1`.
+_CLOSED_OUTPUT = 1
 
 
 class Commands(TyperGroup):
@@ -25,7 +27,11 @@ class Commands(TyperGroup):
             return super().main(*args, standalone_mode=False, **extra)
         try:
             code = super().main(*args, standalone_mode=False, **extra)
-        except (typer.Abort, SystemExit):  # the end of the input at a question; the output of --help was closed
+        except typer.Abort:  # the end of the input at a question
+            sys.exit(Cancelled.exit_code)
+        except SystemExit as end:
+            if end.code != _CLOSED_OUTPUT:
+                raise
             sys.exit(Cancelled.exit_code)
         except OSError as error:  # in the output of --help or --version
             from smajax.app.console import exit_code

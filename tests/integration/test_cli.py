@@ -383,9 +383,14 @@ def test_the_end_of_the_processor_time_keeps_the_best_point(bench, fitted, monke
 
 @pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="needs a limit of processor time")
 def test_the_end_of_the_processor_time_while_packages_are_loaded(bench):
-    """In a process of its own with one second, which JAX takes to load."""
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_CPU, (1, resource.RLIM_INFINITY)); "
-    call = [sys.executable, "-c", limit + "from smajax.__main__ import main; main()"]
+    """In a process of its own with one second, of which most is gone before the command begins."""
+    program = (
+        "import resource, time\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (1, resource.RLIM_INFINITY))\n"
+        "while time.process_time() < 0.7:\n    pass\n"
+        "from smajax.__main__ import main\nmain()"
+    )
+    call = [sys.executable, "-c", program]
     words = ["fit", "rig.toml", "train.csv", "--out", "no-time", "--max-steps", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     result = subprocess.run([*call, *words], cwd=bench, env=environment, capture_output=True, text=True)

@@ -13,6 +13,8 @@ from smajax.numerics.evolution import evolve_in_unit_box
 _POPULATION = 48
 _NEAR_POPULATION = 32
 _GENERATIONS = 30
+# Number of points that are drawn for them: Sobol sequences are even for powers of 2 only.
+_SPREAD = 64
 # Number of the best points so far in the first population: with more of them, and of points near them, it converges to
 # the minimum that the local searches have found. Chosen by the same experiment.
 _BEST = 2
@@ -39,7 +41,7 @@ def evolve_population(search: GainSearch, point: Float[np.ndarray, " gains"]) ->
         The best candidate of the whole search.
     """
     best_points = [candidate.point for candidate in sorted(search.evaluated, key=rank)[:_BEST]]
-    spread = scipy.stats.qmc.Sobol(len(point), rng=0).random(_POPULATION)
+    spread = scipy.stats.qmc.Sobol(len(point), rng=0).random(_SPREAD)
     _evolve(search, np.vstack([point, *best_points, spread])[:_POPULATION])
     return evolve_near(search, min(search.evaluated, key=rank).point)
 
@@ -54,7 +56,7 @@ def evolve_near(search: GainSearch, point: Float[np.ndarray, " gains"]) -> Candi
     Returns:
         The best candidate of the whole search.
     """
-    spread = scipy.stats.qmc.Sobol(len(point), rng=1).random(_NEAR_POPULATION)
+    spread = scipy.stats.qmc.Sobol(len(point), rng=1).random(_SPREAD)[:_NEAR_POPULATION]
     first = np.clip(point + _NEAR * (2.0 * spread - 1.0), 0.0, 1.0)
     first[0] = point
     _evolve(search, first)
