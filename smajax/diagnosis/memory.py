@@ -34,9 +34,9 @@ def diagnosis_memory(
     Returns:
         The steps of a simulation of the longest recording, and the memory in bytes.
     """
-    longest = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
-    steps = padded_length(longest)
-    return steps, float(_PROGRAMS + (plant.mechanism.wires * _PER_STEP + _NUMBER * added_states(plant)) * steps)
+    steps = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
+    per_step = plant.mechanism.wires * _PER_STEP + _NUMBER * added_states(plant)
+    return steps, float(_PROGRAMS + per_step * padded_length(steps))
 
 
 def require_diagnosis_memory(

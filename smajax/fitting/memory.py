@@ -49,7 +49,7 @@ class FitMemory(NamedTuple):
     """Steps and memory of a fit.
 
     Attributes:
-        steps: Steps of one simulation of all training recordings, which are padded to one length.
+        steps: Steps of one simulation of all training recordings, each as long as the longest.
         evaluation: Bytes of one evaluation of residual and Jacobian: trajectory and tangents.
         ends: Bytes of the residual and the Jacobian of one start, with their copies.
         others: Bytes of everything else: programs, recordings, inputs, and the responses at the end.
@@ -119,7 +119,8 @@ def fit_memory(
         step: Longest step in s; the plant's default if not given.
     """
     counts = [count_steps(plant, r, interpolation=interpolation, step=step) for r in (*recordings, *holdout)]
-    steps = len(recordings) * padded_length(max(counts[: len(recordings)]))
+    longest = max(counts[: len(recordings)])
+    steps = len(recordings) * padded_length(longest)
     samples = len(recordings) * padded_length(max(map(len, recordings))) * len(settings.observe)
     values = sum(len(r) * (1 + len(r.channels) + len(plant.observable)) for r in (*recordings, *holdout))
     own = len(recordings) * len({*settings.per_recording, *(f"initial.{name}" for name in settings.initial)})
@@ -128,7 +129,7 @@ def fit_memory(
     # All responses are simulated at once, on grids of one length.
     responses = max(steps, len(counts) * padded_length(max(counts)))
     return FitMemory(
-        steps=steps,
+        steps=len(recordings) * longest,
         evaluation=_NUMBER * (wires * (_PER_SEARCHED_STEP + unknowns) + added) * steps,
         ends=_NUMBER * _COPIES * (unknowns + 1) * samples,
         others=_PROGRAMS
