@@ -73,13 +73,12 @@ def raise_on_interrupt() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)  # SIGXCPU comes again each second
     on_interrupt = signal.getsignal(signal.SIGINT)
-    # SIGXCPU comes again each second; a process of the background ignores SIGINT.
-    signal.signal(number, signal.SIG_IGN if callable(on_interrupt) else signal.SIG_DFL)
     if callable(on_interrupt):
         on_interrupt(number, frame)
-    else:
-        signal.raise_signal(number)
+    else:  # a process of the background ignores SIGINT
+        _exit(number, frame)
 
 
 def _exit(number: int, frame: FrameType | None) -> None:
