@@ -109,7 +109,7 @@ class UnwrittenFile(InputError):
             path: The file.
             error: The error of the system.
         """
-        self.reason = str(error.strerror or error)
+        self.reason: str = str(error.strerror or error)
         super().__init__(f"{path}: the file cannot be written ({self.reason}): check the folder")
 
 
