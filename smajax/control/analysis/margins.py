@@ -10,6 +10,7 @@ crossover are left out as well: the states change within such a period. An estim
 to be exact; the effect of its filter on the loop appears in rollouts only.
 """
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from jaxtyping import Float
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario, rollout_with_solutions
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.jax_setup import EMITTER_OPTIONS
 from smajax.numerics.stored_programs import stored
 
 # Number of frequencies, evenly spaced on a logarithmic axis from a tenth of a cycle over the whole rollout to the
@@ -200,7 +202,7 @@ def worst_margins(margins: Sequence[Margins]) -> Margins:
     return Margins(min(gain), min(phase), max(sensitivity))
 
 
-@stored
+@functools.partial(stored, compiler_options=EMITTER_OPTIONS)
 def _loop_gains(
     system: AbstractSampledSystem,
     loop: ClosedLoop,
