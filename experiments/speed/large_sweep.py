@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def run(folder: Path, designs: int) -> Sweep:
-    """Run a sweep in a process of its own, and watch its memory."""
+    """Run a sweep in a separate process, and measure its memory."""
     rig = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
     text = SWEEP.format(rig=rig, count=designs).replace("chunk = 64\n", "")
     (folder / "sweep.toml").write_text(text, "utf-8")

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from smajax.app.interrupt_watch import InterruptWatch
-from smajax.app.loading import raise_on_interrupt
+from smajax.app.loading import OUT_OF_TIME, raise_on_interrupt
 from smajax.errors import Cancelled, InputError, NumericsError, printable_sentence
 from smajax.progress import Progress, ProgressEvent
 
@@ -39,8 +39,6 @@ _SHORTAGES = {
 
 # Signals that stop a command: Ctrl-C, and the signal that a scheduler sends when the time limit of a job is reached.
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
-# Signal of Linux and macOS at the soft limit of processor time (``ulimit -St``), which is sent again each second.
-_OUT_OF_TIME: int | None = getattr(signal, "SIGXCPU", None)
 
 
 class CommandProgress:
@@ -103,8 +101,8 @@ class CommandProgress:
     def _handle(self) -> None:
         if not self._handling and threading.current_thread() is threading.main_thread():
             numbers: list[int] = list(_STOPPING)
-            if _OUT_OF_TIME is not None and signal.getsignal(_OUT_OF_TIME) != signal.SIG_IGN:
-                numbers.append(_OUT_OF_TIME)
+            if OUT_OF_TIME is not None and signal.getsignal(OUT_OF_TIME) != signal.SIG_IGN:
+                numbers.append(OUT_OF_TIME)
             self._previous = {number: signal.signal(number, self._on_interrupt) for number in numbers}
             self._handling = True
             self._watch.start()
@@ -117,7 +115,7 @@ class CommandProgress:
         self._handling = self._requested = False
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if number == _OUT_OF_TIME:  # the next one is no second Ctrl-C, and does not end the process after its results
+        if number == OUT_OF_TIME:  # the next one is no second Ctrl-C, and does not end the process after its results
             signal.signal(number, signal.SIG_IGN)
             self._previous.pop(number)
         if not (self._can_stop or self._has_result or self._raised):

@@ -15,8 +15,8 @@ from smajax.errors import Cancelled, NumericsError
 # compiler ends the process where it gets none, without an error that could be reported. Found with an empty cache;
 # test_a_small_address_space_is_refused in tests/integration/test_cli.py holds the first.
 FEW_PROGRAMS, MANY_PROGRAMS, WIDE_PROGRAMS = 2 * 2**30, 3 * 2**30, 4 * 2**30
-# Signals of a scheduler and of the system (``ulimit -St``); Windows has no limit of processor time.
-_AT_TIME_LIMITS = [getattr(signal, name) for name in ("SIGTERM", "SIGXCPU") if hasattr(signal, name)]
+# Signal of Linux and macOS at the soft limit of processor time (``ulimit -St``), which is sent again each second.
+OUT_OF_TIME: int | None = getattr(signal, "SIGXCPU", None)
 
 
 def check_address_space(needed: int) -> None:
@@ -49,8 +49,8 @@ def exit_on_interrupt() -> None:
 
 def interrupt_at_time_limits() -> None:
     """Let the signals at the time limit of a process, which would kill it, do what Ctrl-C does."""
-    for number in _AT_TIME_LIMITS:
-        if signal.getsignal(number) == signal.SIG_DFL:
+    for number in (signal.SIGTERM, OUT_OF_TIME):
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, _interrupt)
 
 
@@ -73,7 +73,8 @@ def raise_on_interrupt() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # SIGXCPU comes again each second
+    # A second SIGTERM ends the process.
+    signal.signal(number, signal.SIG_IGN if number == OUT_OF_TIME else signal.SIG_DFL)
     on_interrupt = signal.getsignal(signal.SIGINT)
     if callable(on_interrupt):
         on_interrupt(number, frame)

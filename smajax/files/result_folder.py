@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
-from smajax.recordings.paths import UnwrittenFile, check_output_path, replacing, unreadable
+from smajax.recordings.paths import FileWriteError, check_output_path, replacing, unreadable
 
 SCHEMA = "smajax.run/1"
 _RUN = "run.json"
@@ -88,8 +88,8 @@ def write_folder(out: Path, run: Mapping[str, Any], fill: Callable[[Path], None]
             _flush(path)
         _put(part, check_output_folder(out))
         _flush(place.parent)
-    except (OSError, UnwrittenFile) as error:
-        reason = error.reason if isinstance(error, UnwrittenFile) else error.strerror or error
+    except (OSError, FileWriteError) as error:
+        reason = error.reason if isinstance(error, FileWriteError) else error.strerror or error
         raise InputError(f"{out}: the result cannot be written ({reason}): make room, or name another --out") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)

@@ -95,15 +95,15 @@ def unreadable(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: the file cannot be read ({reason}): check its permissions")
 
 
-class UnwrittenFile(InputError):
+class FileWriteError(InputError):
     """A file that cannot be written.
 
     Attributes:
-        reason: Why, in the words of the system.
+        reason: The reason that the operating system gives.
     """
 
     def __init__(self, path: Path, error: OSError):
-        """Make the sentence.
+        """Create the error.
 
         Args:
             path: The file.
@@ -122,13 +122,13 @@ def replacing(path: Path, part: Path | None = None) -> Iterator[Path]:
         part: The temporary file, on the same disk; a hidden file in the same folder by default.
 
     Raises:
-        UnwrittenFile: If the file cannot be written.
+        FileWriteError: If the file cannot be written.
     """
     part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
         os.replace(part, path)
     except OSError as error:
-        raise UnwrittenFile(path, error) from None
+        raise FileWriteError(path, error) from None
     finally:
         part.unlink(missing_ok=True)

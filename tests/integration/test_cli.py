@@ -383,7 +383,7 @@ def test_the_end_of_the_processor_time_keeps_the_best_point(bench, fitted, monke
 
 @pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="needs a limit of processor time")
 def test_the_end_of_the_processor_time_while_packages_are_loaded(bench):
-    """In a process of its own with one second, of which most is gone before the command begins."""
+    """In a separate process with a limit of one second, most of which is used before the command begins."""
     program = (
         "import resource, time\n"
         "resource.setrlimit(resource.RLIMIT_CPU, (1, resource.RLIM_INFINITY))\n"

@@ -113,7 +113,7 @@ def tune(
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
         settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
-        population: Populations in the search for the smallest terms; ``near`` replaces the searches before them.
+        population: Populations for the smallest terms: ``all`` after the other searches, ``near`` instead of them.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.

@@ -217,7 +217,7 @@ def test_correct_files_pass_and_have_the_parameters_of_the_plant(tmp_path, kind)
 
 
 def test_shipped_tables_are_those_of_the_classes():
-    # In a process of its own, in which no other test has registered a class.
+    # In a separate process, in which no other test has registered a class.
     program = "from docs.generate import class_tables; print(class_tables.text())"
     printed = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     shipped = data_path("classes.json").read_text("utf-8")

@@ -723,7 +723,7 @@ def test_a_killed_run_and_a_killed_worker_lose_no_design(folder):
 
 
 @pytest.mark.slow
-def test_a_killed_scheduler_is_said_and_loses_no_chunk(folder):
+def test_a_killed_scheduler_is_reported_and_no_chunk_is_lost(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace("chunk = 20", "chunk = 4"), "utf-8")
     run(folder, "whole")
     with socket.socket() as free:
