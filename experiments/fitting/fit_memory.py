@@ -37,9 +37,8 @@ from smajax.simulation.run import simulate
 
 GIB = 2**30
 LIMIT = 2 * GIB
-# The same for fifty recordings, and the growth of the time with their number that counts as linear: up to a tenth, by
-# which compilations differ.
-LARGEST, EXPONENT = 4 * GIB, 1.1
+# The same for fifty recordings, and the growth of the time with their number that counts as linear, as for sweeps.
+LARGEST, EXPONENT = 4 * GIB, 1.05
 # An estimate may be as much too low as the share of the free memory that a fit does not take.
 LOWEST_ESTIMATE = 0.8
 # Standard deviations of the noise, SI.

@@ -26,8 +26,8 @@ import pyarrow.parquet as parquet
 
 COUNTS = (62_500, 250_000, 1_000_000)
 QUICK_COUNTS = (4_000, 16_000, 64_000)
-# Growth of the time with the number of designs that counts as linear: up to a tenth, by which start-ups differ.
-EXPONENT = 1.1
+# Growth of the time with the number of designs that counts as linear, as in sweep_throughput.py.
+EXPONENT = 1.05
 # Memory of two workers, scheduler and run; the table with its copies is 0.4 GB for a million designs.
 LARGEST_MEMORY = 4e9
 MEGABYTE = 1e6
