@@ -19,6 +19,7 @@ from typer.testing import CliRunner, Result
 from smajax.actuators.registry import ACTUATORS
 from smajax.app import cli
 from smajax.app.console import CommandProgress
+from smajax.app.loading import interrupt_at_time_limits
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
 from smajax.files.parameter_sets import read_header, read_parameters, shipped_sets
@@ -396,6 +397,25 @@ def test_the_end_of_the_processor_time_while_packages_are_loaded(bench):
     result = subprocess.run([*call, *words], cwd=bench, env=environment, capture_output=True, text=True)
     assert result.returncode == 130, result.stderr
     assert result.stderr.splitlines()[-1] == "smajax: interrupted; nothing was written"
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGXCPU"])
+def test_a_signal_at_a_time_limit_does_what_ctrl_c_does(name):
+    """A second SIGTERM ends the process; the processor time, which is sent again each second, does not."""
+    number = getattr(signal, name, None)
+    if number is None:
+        pytest.skip("this system has no limit of processor time")
+    before = {k: signal.getsignal(k) for k in (signal.SIGINT, number)}
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(number, signal.SIG_DFL)
+        interrupt_at_time_limits()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        assert signal.getsignal(number) == (signal.SIG_DFL if name == "SIGTERM" else signal.SIG_IGN)
+    finally:
+        for k, handler in before.items():
+            signal.signal(k, handler)
 
 
 def test_a_small_address_space_is_refused(bench):
