@@ -23,8 +23,10 @@ QUIET_MEMBERS = len(_ENDS)
 _AMBIENT_CASES = 29
 _START_CASES = 8
 _ROUNDED_CASES = 4
-# Number of cases with parameters drawn from the intervals of a fit or from ranges, for the same reason.
+# Number of cases with parameters drawn from the intervals of a fit or from ranges, for the same reason, and number of
+# these draws that are cases without noise as well, in which an unstable loop is seen.
 DRAWN_CASES = 64
+_QUIET_DRAWN_CASES = 32
 # Significant digits of a gain in the table of gains that the command prints; 0 stands for no rounding, and
 # ``SINGLE_PRECISION`` for the C header with SMAJAX_REAL as float.
 _TABLE_DIGITS = 5
@@ -142,8 +144,10 @@ def make_cases(
             name = f"ambient {value:.4g} degC"
             cases.append(Case("ambient", name, noise_draw(), initial, plain | {_AMBIENT: value}))
     for k in range(len(next(iter(draws.values()))) if draws else 0):
-        values = {name: float(v[k]) for name, v in draws.items()}
-        cases.append(Case("drawn", f"parameter draw {k + 1}", noise_draw(), initial, plain | values))
+        drawn = plain | {name: float(v[k]) for name, v in draws.items()}
+        cases.append(Case("drawn", f"parameter draw {k + 1}", noise_draw(), initial, drawn))
+        if noisy and k < _QUIET_DRAWN_CASES:
+            cases.append(Case("drawn", f"no noise, parameter draw {k + 1}", quiet, initial, drawn))
     cases += _starts(scenario, value_at_rest(task, task.loop.channel), plain, noise_draw)
     for digits, name in ((_TABLE_DIGITS, f"gains of {_TABLE_DIGITS} digits"), (SINGLE_PRECISION, "gains as floats")):
         cases += [Case("rounded", name, noise_draw(), initial, plain, digits) for _ in range(_ROUNDED_CASES)]

@@ -81,7 +81,7 @@ def judge_gains(
     cases: Callable[[int], Sequence[Case]],
     progress: PhasesAndSteps,
 ) -> JudgedGains:
-    """Check gains on cases, and tune them again up to three times for cases that violate a limit.
+    """Check gains on cases, and tune them again up to three times for cases that violate a limit or are unstable.
 
     Other gains of the search that cost little more are tried first. A new search uses the failing cases and some of the
     others, with the limits that were exceeded tightened. Its gains are checked on new cases, and used if fewer of them
@@ -99,12 +99,12 @@ def judge_gains(
     result, check = judge.best_of(result)
     best, limits, seen, rounds = check, dict(task.limits), [], 0
     # Limits that the search could not keep for its own members are not kept on other cases.
-    while best.beyond and rounds < _RETUNINGS and result.feasible and not result.interrupted:
+    while best.failing and rounds < _RETUNINGS and result.feasible and not result.interrupted:
         limits = _tightened(limits, task.limits, excess_of_limits(task.limits, check), _MAX_TIGHTENING[rounds])
-        failing = sorted({k for rows in check.beyond.values() for k in rows}, key=lambda k: -_excess(task, check, k))
+        failing = sorted(check.failing, key=lambda k: (k not in check.unstable, -_excess(task, check, k)))
         seen = [*(check.cases[k] for k in failing), *seen][:_MOST_FAILING]
         members = [*seen, *_others(check, failing)[: LIMITED_NOISE_DRAWS - len(seen)]]
-        words = f"{len(failing)} of {len(check.cases)} cases miss a limit: tuning again for them"
+        words = f"{len(failing)} of {len(check.cases)} cases miss a limit or are unstable: tuning again for them"
         try:
             progress.phase(words, can_stop=True)
             other = _search(replace(task, limits=limits), problem, result, members, progress)
@@ -116,7 +116,7 @@ def judge_gains(
         if _rank(task, check) < _rank(task, best):
             result, best = other, check
         result = result._replace(rollouts=rollouts, feasible=True, interrupted=interrupted)
-    if best.beyond and result.feasible and not result.interrupted:
+    if best.failing and result.feasible and not result.interrupted:
         result, best = judge.reduced(result) or (result, best)
     return JudgedGains(result, best, rounds)
 

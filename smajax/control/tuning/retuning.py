@@ -1,23 +1,13 @@
 """Searches that are repeated until the gains keep the limits, follow the reference and are stable, as far as possible.
 
-Repeated searches use more starts, a larger weight of the effort, or the draws of parameters that fail.
+Repeated searches use more starts, or a larger weight of the effort.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-
-from smajax.control.analysis.closed_loop_checks import (
-    DrawChecks,
-    GainEvaluation,
-    check_draws,
-    evaluate_gains,
-    fails_to_track,
-)
+from smajax.control.analysis.closed_loop_checks import GainEvaluation, evaluate_gains, fails_to_track
 from smajax.control.analysis.reachable_range import ReachableRange
 from smajax.control.tuning.problem import TuningProblem
 from smajax.control.tuning.task import TuningTask
@@ -26,15 +16,8 @@ from smajax.progress import PhasesAndSteps
 
 # All constants were chosen by trial; tests/unit/control/test_tuning.py holds them.
 
-# Largest number of searches for draws that fail. Chosen by trial.
-_RETUNINGS = 3
 # Number of starts of a search after one with fewer starts whose gains violate a limit or do not follow the reference.
 _MORE_STARTS = 4
-# Tightening of a limit that the worst draw exceeds, over the excess.
-_TIGHTENING = 1.5
-# Smallest tightening in one search, and largest one in all, as shares of the limit.
-_MIN_TIGHTENING = 0.005
-_MAX_TIGHTENING = 0.5
 # Largest number of searches with an increased weight of the effort, the factor of the weight, and the weight that is
 # increased if the given one is smaller.
 _EFFORT_INCREASES = 3
@@ -168,77 +151,3 @@ def _increase_effort_weight(
         if interrupted := result.interrupted:
             break
     return before._replace(result=before.result._replace(rollouts=rollouts, interrupted=interrupted))
-
-
-def retune_on_failing_draws(
-    task: TuningTask,
-    problem: TuningProblem,
-    result: TuningResult,
-    checks: Mapping[str, DrawChecks],
-    draws: Mapping[str, Float[np.ndarray, " draws"]],
-    seed: int,
-    progress: PhasesAndSteps,
-) -> tuple[TuningResult, DrawChecks]:
-    """Tune again, up to three times, for the draws that fail, together with some of the draws of the previous search.
-
-    From the second time on, a limit that some draws exceed is tightened by 1.5 times the excess. Gains that follow the
-    reference worse than the start gains are not used.
-
-    Args:
-        task: The tuning task.
-        problem: The tuning problem of the previous search.
-        result: The gains of the previous search.
-        checks: Checks of the ``start`` gains and of the ``tuned`` ones.
-        draws: Samples of parameters by name, internal units, shape ``(count,)`` each.
-        seed: Seed of the random starts.
-        progress: Receives the phases and steps of the search; a ``KeyboardInterrupt`` of it ends the search.
-
-    Returns:
-        The gains with the fewest failing draws, and their checks.
-
-    Raises:
-        NumericsError: if no point has a finite cost.
-    """
-    count, limits, best_checks = problem.count, dict(task.limits), checks["tuned"]
-    failing: list[int] = []
-    for repeat in range(_RETUNINGS):
-        if not best_checks.failing:
-            break
-        if _is_stopped(
-            progress, f"tuning again for {len(best_checks.failing)} draws that are unstable or beyond a limit"
-        ):
-            return result._replace(interrupted=True), best_checks
-        failing = list(dict.fromkeys([*best_checks.failing[: max(1, count // 2)], *failing]))
-        rows = list(dict.fromkeys([*failing, *range(count)]))[:count]
-        selected = {n: v[np.resize(rows, count)] for n, v in draws.items()}
-        loop = problem.loop_with(result.gains)
-        new_problem = TuningProblem.of(task.system, loop, task.scenario, task.bounds, selected, problem.draws)
-        if repeat:
-            limits = _tighten(limits, task.limits, best_checks.document["worst"])
-        retuned = _search(replace(task, limits=limits), new_problem, _MORE_STARTS, seed, progress)
-        interrupted = retuned.interrupted
-        result = result._replace(rollouts=result.rollouts + retuned.rollouts, interrupted=interrupted)
-        new_checks = check_draws(task, retuned.gains, draws)
-        follows = task.settle or _median_error(new_checks) <= _median_error(checks["start"])
-        if follows and len(new_checks.failing) < len(best_checks.failing):
-            result, best_checks = retuned._replace(rollouts=result.rollouts), new_checks
-        if interrupted:
-            break
-    return result, best_checks
-
-
-def _tighten(
-    limits: Mapping[str, float], original: Mapping[str, float], worst: Mapping[str, float | None]
-) -> dict[str, float]:
-    """Limits after those that the worst draw exceeds are tightened, by at most half of their original value."""
-    excess = {k: (worst.get(k) or worst.get(f"peak_{k}") or 0.0) - v for k, v in original.items()}
-    tightened = {
-        k: v - (excess[k] > 0.0) * max(_TIGHTENING * excess[k], _MIN_TIGHTENING * abs(v)) for k, v in limits.items()
-    }
-    # Without this bound a limit could become impossible, such as an overshoot below 0.
-    return {k: max(v, original[k] - _MAX_TIGHTENING * abs(original[k])) for k, v in tightened.items()}
-
-
-def _median_error(checks: DrawChecks) -> float:
-    """The median tracking error (RMS) over the draws."""
-    return checks.document["spread"]["rmse"][1] or math.inf

@@ -1,4 +1,4 @@
-"""Tuning of a controller for a rig from start to end: feedforward, search, checks, and searches for failing draws."""
+"""Tuning of a controller for a rig from start to end: feedforward, search, and checks."""
 
 import math
 import time
@@ -29,7 +29,7 @@ from smajax.control.tuning.controller_problem import draw_parameters, tuning_pro
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward, identify_feedforward, with_inverse
 from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.problem import TuningProblem, has_noise
-from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
+from smajax.control.tuning.retuning import search_gains
 from smajax.control.tuning.tune import TuningResult
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
@@ -143,7 +143,7 @@ def tune_controller(
     """Tune the gains of a controller for a rig, and check them.
 
     A feedforward is identified first. A reference that the rig cannot follow is clipped to what it reaches. The gains
-    are searched again with more starts, more weight of the effort or the draws that fail, if they are not good enough.
+    are searched again with more starts or more weight of the effort, if they are not good enough.
     They are judged on cases that no search has used, and tuned again for those that fail.
 
     Args:
@@ -217,23 +217,25 @@ def _check_gains(
     seed: int,
     timer: _Timer,
 ) -> _Chosen:
-    """Check gains on draws of parameters and on cases, and tune them again for those that fail."""
+    """Check gains on draws of parameters and on cases, and tune them again for the cases that fail."""
     progress, result = timer.progress, chosen.result
     progress.finish("checking")
     with timer.part("check"):
-        chosen = chosen._replace(checks=_checks(settings, result, draws))
-    if chosen.checks and not result.interrupted:
-        with timer.part("tune"):
-            result, checks, is_start = _checked_gains(settings, problem, result, chosen.checks, draws, seed, progress)
-        chosen = _Chosen(result, evaluate_gains(settings, result.gains), checks, is_start)
-    if settings.check == 1 or result.interrupted:
+        checks = _checks(settings, result, draws)
+    # Gains that were tuned for some draws may be worse on the others.
+    is_start = bool(checks) and len(checks["start"].failing) < len(checks["tuned"].failing)
+    if is_start:
+        result = result._replace(point=problem.start, gains=_start_gains(settings))
+        checks |= {"tuned": checks["start"]}
+        chosen = chosen._replace(result=result, evaluation=evaluate_gains(settings, result.gains))
+    chosen = chosen._replace(checks=checks, is_start=is_start)
+    if result.interrupted or not (draws or settings.check > 1):
         return chosen
     progress.finish("checking on cases that no search has used")
     with timer.part("judge"):
         judged = judge_gains(settings, problem, result, lambda k: _cases(rig, settings, seed, k), progress)
-        chosen = chosen._replace(
-            result=judged.result, case_checks=_case_checks(settings, judged), retunings=judged.rounds
-        )
+        case_checks = _case_checks(settings, judged) if settings.check > 1 else {}
+        chosen = chosen._replace(result=judged.result, case_checks=case_checks, retunings=judged.rounds)
         if judged.result.gains != result.gains:
             checks = _checks(settings, judged.result, draws)
             tuned = evaluate_gains(settings, judged.result.gains)
@@ -247,9 +249,10 @@ def _case_checks(settings: ControllerFile, judged: JudgedGains) -> dict[str, Cas
 
 
 def _cases(rig: Rig, settings: ControllerFile, seed: int, repeat: int) -> list[Case]:
-    """The cases of a check, with other random numbers for each ``repeat``."""
+    """The cases of a check, with other random numbers for each ``repeat``; those of draws only for a ``check`` of 1."""
     draws = draw_parameters(rig, settings, seed, repeat)
-    return make_cases(settings, draws, has_noise(settings.loop), seed, repeat, settings.check)
+    cases = make_cases(settings, draws, has_noise(settings.loop), seed, repeat, settings.check)
+    return cases if settings.check > 1 else [case for case in cases if case.group == "drawn"]
 
 
 def _within_reach(settings: ControllerFile) -> tuple[ControllerFile, ReachableRange, UnreachableReference | None]:
@@ -312,25 +315,6 @@ def _checks(settings: ControllerFile, result: TuningResult, draws: Mapping[str, 
     """The checks of the start gains and of the tuned ones on draws; empty without draws."""
     gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
     return {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
-
-
-def _checked_gains(
-    settings: ControllerFile,
-    problem: TuningProblem,
-    result: TuningResult,
-    checks: dict[str, DrawChecks],
-    draws: Mapping[str, np.ndarray],
-    seed: int,
-    progress: PhasesAndSteps,
-) -> tuple[TuningResult, dict[str, DrawChecks], bool]:
-    """Gains that fail on fewer draws, their checks, and whether they are the start gains."""
-    checked = checks["tuned"]
-    if checked.failing:
-        result, checked = retune_on_failing_draws(settings, problem, result, checks, draws, seed, progress)
-    # Gains that were tuned for some draws may be worse on the others.
-    if len(checks["start"].failing) < len(checked.failing):
-        return result._replace(gains=_start_gains(settings)), checks | {"tuned": checks["start"]}, True
-    return result, checks | {"tuned": checked}, False
 
 
 def _rmse_of_mean(settings: ControllerFile, tuned: GainEvaluation) -> float | None:

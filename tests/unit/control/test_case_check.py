@@ -165,6 +165,34 @@ def test_gains_are_tuned_again_for_cases_that_miss_a_limit(tmp_path, monkeypatch
     assert judged.result.gains["kp"] == smaller == pytest.approx(30.0 * 0.9**2) and not judged.check.failing
 
 
+def test_gains_are_tuned_again_for_unstable_draws(tmp_path, monkeypatch):
+    """Unstable cases come before those beyond a limit, and gains that are unstable in fewer cases are used."""
+    task = dataclasses.replace(task_of(tmp_path), limits={"overshoot": 0.1})
+    draws = {"load.mass": np.linspace(0.15, 0.25, 64)}
+    drawn = [case for case in make_cases(task, draws, True, 0) if case.group == "drawn"]
+    quiet = [case for case in drawn if not np.any(case.noise)]
+    assert len(drawn) == 96 and [c.parameters["load.mass"] for c in quiet] == draws["load.mass"][:32].tolist()
+    problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
+    result = TuningResult(problem.start, {"kp": 30.0, "ki": 10.0}, {}, {}, True, 0.0, 100, ())
+    unstable, members = {30.0: (2, 3), 31.0: (3,), 32.0: ()}, []
+
+    def check_stub(task, gains, cases):
+        beyond = {"overshoot": (1,)} if gains["kp"] == 30.0 else {}
+        metrics = ({"overshoot": 0.05}, {"overshoot": 0.2}, {"overshoot": 0.02}, {"overshoot": 0.03})
+        return case_check.CaseCheck(tuple(cases), metrics, ((),) * 4, unstable[gains["kp"]], beyond)
+
+    def search_stub(task, problem, result, cases, progress):
+        members.append([case.name for case in cases])
+        return result._replace(gains={"kp": result.gains["kp"] + 1.0, "ki": 10.0}, rollouts=7)
+
+    monkeypatch.setattr(case_retuning, "check_cases", check_stub)
+    monkeypatch.setattr(case_retuning, "_search", search_stub)
+    cases = [Case("drawn", f"draw {k}", np.ones(3) * (k < 2), 0.0, {}) for k in range(4)]
+    judged = case_retuning.judge_gains(task, problem, result, lambda _: cases, Progress(True))
+    assert judged.result.gains["kp"] == 32.0 and judged.rounds == 2 and not judged.check.failing
+    assert members[0] == ["draw 3", "draw 2", "draw 1", "draw 0"] and members[1][0] == "draw 3"
+
+
 def test_an_alternative_that_fails_in_no_case_replaces_the_gains(tmp_path, monkeypatch):
     """Also not in new cases, on which it was not chosen; no search is then repeated."""
     task = dataclasses.replace(task_of(tmp_path), limits={"overshoot": 0.1})

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
+from smajax.control.analysis.case_check import check_cases
 from smajax.control.analysis.closed_loop_checks import DrawChecks, check_draws, evaluate_gains
 from smajax.control.analysis.margins import Margins, margins_of_draws, worst_margins
 from smajax.control.analysis.reachable_range import ReachableRange, clip_reference, reachable_range
@@ -26,7 +27,8 @@ from smajax.control.export.json_document import controller_document
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.rollout import Scenario
 from smajax.control.sampled_plant import SampledPlant
-from smajax.control.tuning import retuning
+from smajax.control.tuning import case_retuning, retuning
+from smajax.control.tuning.case_retuning import JudgedGains
 from smajax.control.tuning.feedforward_identification import Feedforward, identify_feedforward
 from smajax.control.tuning.minimise_settling_time import longest_settling
 from smajax.control.tuning.objective import TERMS, make_objective
@@ -35,7 +37,7 @@ from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
 from smajax.control.tuning.search import Candidate, GainSearch
 from smajax.control.tuning.tune import TuningResult, cost_function, tune
-from smajax.control.tuning.tuning_study import ControllerTuning
+from smajax.control.tuning.tuning_study import ControllerTuning, tune_controller
 from smajax.errors import InputError, NumericsError
 from smajax.files.rig_file import read_rig
 from smajax.fitting.io_models.problem import Series
@@ -471,6 +473,9 @@ def test_unstable_gains_are_tuned_again_with_more_weight_of_effort(tmp_path, mon
         return result if weights.get("effort", 0.0) >= enough else result._replace(gains={"kp": 3000.0, "ki": 10.0})
 
     monkeypatch.setattr(retuning, "tune", hunting)
+    # Nor do searches for the cases that are unstable give stable gains, or a smaller loop gain.
+    monkeypatch.setattr(case_retuning, "tune", hunting)
+    monkeypatch.setattr(case_retuning, "_REDUCTIONS", 0)
     done = run(tmp_path, FILE.replace("[tune]", "[tune]\nobjective = { tracking = 1 }"))
     doc, output = json.loads((tmp_path / "out" / "tune.json").read_text()), " ".join(done.output.split())
     assert doc["stable"] == {"start": True, "tuned": enough < math.inf} and done.exit_code == (
@@ -529,54 +534,32 @@ def test_a_reference_beyond_the_reachable_range_is_clipped():
     assert float(both.reference.min()) == float(both.reference.max()) == 4e-3
 
 
-def test_failing_draws_are_tuned_for(tmp_path, monkeypatch):
-    """Failing draws replace half of the members; gains with fewer failing draws are used, and all rollouts are counted."""
+def test_start_gains_that_fail_on_fewer_draws_are_kept_and_judged(tmp_path, monkeypatch):
+    """The draws are those of the search; with a ``check`` of 1, the cases are draws only, without a check of its own."""
     (tmp_path / "c.toml").write_text(
-        FILE + '[limits]\novershoot = "20 %"\n[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n'
+        FILE.replace("[tune]\n", "[tune]\ncheck = 1\n") + '[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n'
     )
-    task = read_controller(tmp_path / "c.toml", read_rig(RIG))
-    draws = {"load.mass": np.linspace(0.15, 0.25, 20)}
-    problem = TuningProblem.of(
-        task.system, task.loop, task.scenario, task.bounds, {"load.mass": draws["load.mass"][:4]}
-    )
-    first = TuningResult(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, 0.0, 100, ())
-    calls: list[list[float]] = []
-    limits_used: list[float] = []
+    rig = read_rig(RIG)
+    task, own = read_controller(tmp_path / "c.toml", rig), {"kp": 30.0, "ki": 10.0}
+    found = TuningResult(np.full(2, 0.9), {"kp": 60.0, "ki": 20.0}, {}, {}, True, 0.0, 1, ())
+    judged: list[tuple[dict[str, float], set[str]]] = []
 
-    def tune_stub(on, weights, limits, **_):
-        calls.append(on.members["load.mass"].tolist())
-        limits_used.append(limits["overshoot"])
-        return first._replace(gains={"kp": 30.0 + len(calls), "ki": 10.0}, rollouts=10)
+    def judge_stub(task, problem, result, cases, progress):
+        np.testing.assert_array_equal(result.point, problem.start)
+        judged.append((result.gains, {case.group for case in cases(0)}))
+        return JudgedGains(result, check_cases(task, result.gains, cases(0)[:2]), 0)
 
-    failing = {30.0: (7, 9, 11), 31.0: (5, 6), 32.0: (5, 6), 33.0: (5, 6)}
-    monkeypatch.setattr(retuning, "tune", tune_stub)
+    def checked(task, gains, draws):
+        return DrawChecks({"draws": len(draws["load.mass"])}, (1, 2) if gains["kp"] > 30.0 else (1,))
 
-    def checked_at(kp: float, error: float = 1e-3, worst: float = 0.23) -> DrawChecks:
-        return DrawChecks({"spread": {"rmse": [error] * 3}, "worst": {"overshoot": worst}}, failing[kp])
-
-    start, mass = checked_at(30.0), draws["load.mass"]
-    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"]))
-    result, checked = retuning.retune_on_failing_draws(
-        task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True)
-    )
-    assert calls == [mass[[7, 9, 0, 1]].tolist(), *2 * [mass[[5, 6, 7, 9]].tolist()]]
-    assert result.gains["kp"] == 31.0 and checked.failing == (5, 6) and result.rollouts == 130
-    # A limit that draws exceed after a retuning is tightened, and more so in each further retuning.
-    assert limits_used == [0.2, pytest.approx(0.2 - 1.5 * 0.03), pytest.approx(0.2 - 3.0 * 0.03)]
-    # It is tightened by at most half of its value.
-    limits_used.clear()
-    calls.clear()
-    start = checked_at(30.0, worst=0.9)
-    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"], worst=0.9))
-    retuning.retune_on_failing_draws(task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True))
-    assert limits_used == [0.2, 0.1, 0.1]
-    # Gains that follow the reference worse than the start gains are not used.
-    calls.clear()
-    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"], error=2e-3))
-    result, checked = retuning.retune_on_failing_draws(
-        task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True)
-    )
-    assert result.gains["kp"] == 30.0 and checked.failing == (7, 9, 11) and result.rollouts == 130
+    monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: found)
+    monkeypatch.setattr("smajax.control.tuning.tuning_study.reduce_loop_gain", lambda task, problem, *found: found)
+    monkeypatch.setattr("smajax.control.tuning.tuning_study.judge_gains", judge_stub)
+    monkeypatch.setattr("smajax.control.tuning.tuning_study.check_draws", checked)
+    study = tune_controller(rig, task, seed=0, progress=Progress(True))
+    assert judged == [(own, {"drawn"})] and not study.case_checks
+    assert {name: study.gains[name] for name in own} == own
+    assert study.checks["tuned"].failing == (1,) and study.checks["tuned"].document["draws"] == 64
 
 
 def test_a_population_finds_gains_that_keep_all_limits(monkeypatch):
