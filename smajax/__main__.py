@@ -3,11 +3,13 @@
 import sys
 
 from smajax.app.loading import end_on_interrupt, exit_on_interrupt, interrupt_at_time_limits
+from smajax.app.memory_limit import report_out_of_memory
 from smajax.errors import Cancelled
 
 
 def main() -> None:
     """Run the ``smajax`` command."""
+    report_out_of_memory()
     exit_on_interrupt()
     interrupt_at_time_limits()
     from smajax.app.cli import app

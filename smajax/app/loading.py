@@ -1,4 +1,4 @@
-"""Before packages are imported: Ctrl-C ends the process at once, in one sentence, and too little memory is refused.
+"""Before packages are imported: Ctrl-C ends the process at once, in one sentence.
 
 An exception in the import of an extension module would come out as another one, or crash the process.
 """
@@ -6,38 +6,12 @@ An exception in the import of an extension module would come out as another one,
 import os
 import signal
 import threading
-from pathlib import Path
 from types import FrameType
 
-from smajax.errors import Cancelled, NumericsError
+from smajax.errors import Cancelled
 
-# Bytes of address space that a command needs at least: one with few programs, with many, and with wide batches. JAX's
-# compiler ends the process where it gets none, without an error that could be reported. Found with an empty cache;
-# test_a_small_address_space_is_refused in tests/integration/test_cli.py holds the first.
-FEW_PROGRAMS, MANY_PROGRAMS, WIDE_PROGRAMS = 2 * 2**30, 3 * 2**30, 4 * 2**30
 # Signal of Linux and macOS at the soft limit of processor time (``ulimit -St``), which is sent again each second.
 OUT_OF_TIME: int | None = getattr(signal, "SIGXCPU", None)
-
-
-def check_address_space(needed: int) -> None:
-    """Check that the system does not limit the address space of this process below what a command needs; Linux only.
-
-    Args:
-        needed: Bytes that the command needs.
-
-    Raises:
-        NumericsError: If it does.
-    """
-    try:
-        lines = Path("/proc/self/limits").read_text("utf-8").splitlines()
-    except OSError:  # not Linux
-        return
-    limit = next((line.split()[3] for line in lines if line.startswith("Max address space")), "unlimited")
-    if limit.isdigit() and int(limit) < needed:
-        raise NumericsError(
-            f"there is not enough memory for this: the limit of this process is {int(limit) // 2**20:,} MiB, and "
-            f"{needed // 2**20:,} MiB are needed: raise it ('ulimit -v')"
-        )
 
 
 def exit_on_interrupt() -> None:

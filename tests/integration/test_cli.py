@@ -439,6 +439,35 @@ def test_a_small_address_space_is_refused(bench):
             )
 
 
+@pytest.mark.parametrize(
+    ("end", "code", "words"),
+    [
+        ("os.abort()", 3, "smajax: the memory ran out: the limit of this process is 4,096 MiB of address space"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", 3, "smajax: the memory ran out"),
+        ("os.kill(os.getpid(), signal.SIGUSR1)", -10, ""),
+        ("os.kill(os.getppid(), signal.SIGINT); time.sleep(30)", 130, "smajax: interrupted; nothing was written"),
+        ("os.kill(os.getppid(), signal.SIGTERM); time.sleep(30)", 130, "smajax: interrupted; nothing was written"),
+        ("sys.exit(7)", 7, ""),
+    ],
+)
+def test_a_command_that_gets_no_memory_says_so(end, code, words):
+    """Where the address space is limited, a process waits for the command and passes on its signals and exit code."""
+    if not Path("/proc/self/limits").exists():
+        pytest.skip("the limit is read from /proc")
+    program = (
+        "import os, resource, signal, sys, time\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))\n"
+        "import smajax.app.cli\n"
+        "from smajax.__main__ import main\n"
+        f"smajax.app.cli.app = lambda: exec({end!r})\n"
+        "main()"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert result.returncode == code and result.stderr.startswith(words), result.stderr
+    assert "Traceback" not in result.stderr and bool(result.stderr) is bool(words)
+
+
 def test_a_ctrl_c_that_a_callback_loses_is_raised_again_and_a_second_one_ends_the_process(monkeypatch, capsys):
     codes = []
     monkeypatch.setattr("smajax.app.console.os._exit", codes.append)

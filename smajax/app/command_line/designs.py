@@ -8,7 +8,7 @@ import typer
 from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Json, Open, Out, Quiet, RigFile, Seed
 from smajax.app.command_line.run import argv, finish_run, start_run
-from smajax.app.loading import MANY_PROGRAMS, WIDE_PROGRAMS
+from smajax.app.memory_limit import MANY_PROGRAMS, WIDE_PROGRAMS
 
 
 def tune(

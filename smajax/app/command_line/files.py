@@ -10,7 +10,7 @@ from smajax.app.command_line.early_checks import check_files
 from smajax.app.command_line.options import Auto, Open, Quiet
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
-from smajax.app.loading import MANY_PROGRAMS
+from smajax.app.memory_limit import MANY_PROGRAMS
 from smajax.app.output import say, say_on_stderr
 from smajax.errors import InputError
 

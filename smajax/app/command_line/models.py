@@ -23,7 +23,7 @@ from smajax.app.command_line.options import (
 )
 from smajax.app.command_line.reading import NO_CHANGES, Reading, rig_with_reading, with_reading
 from smajax.app.command_line.run import argv, finish_run, start_run
-from smajax.app.loading import MANY_PROGRAMS, WIDE_PROGRAMS
+from smajax.app.memory_limit import MANY_PROGRAMS, WIDE_PROGRAMS
 from smajax.arguments import MAX_STARTS
 
 

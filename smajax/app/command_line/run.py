@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from smajax.app.loading import FEW_PROGRAMS, check_address_space, exit_on_interrupt
+from smajax.app.loading import exit_on_interrupt
+from smajax.app.memory_limit import FEW_PROGRAMS, check_address_space
 from smajax.app.output import say, say_json, say_on_stderr
 from smajax.errors import Cancelled
 
