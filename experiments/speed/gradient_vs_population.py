@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.base import Row, arguments, finish, read_shipped, say
 from experiments.common.charts import Chart, Curve, draw
-from experiments.common.speed import command_row, growth_rows, jacobian_row, loop_rows
+from experiments.common.speed import command_row, growth_rows
 
 import numpy as np
 
@@ -202,8 +202,6 @@ def main() -> None:
     rows.append(genetic_row(contest, "dead weight, six parameters", range(2 if args.quick else 10)))
     paper = Contest("rotary", 20.0 if args.quick else None, ["heat.h0", "heat.h2"])
     rows.append(genetic_row(paper, "rotary, h0 and h2 as in the paper", range(2 if args.quick else 10)))
-    rows.append(jacobian_row(args.quick))
-    rows += loop_rows(args.quick)
     rows += growth_rows(args.quick)
     rows.append(command_row(args.quick))
     if args.out:
