@@ -74,6 +74,7 @@ class Comparison:
         self.rig, self.recording = read_shipped("dead-weight")
         self.problem: Problem = fit_problem([self.recording])
         self._current = np.asarray(self.recording.channels["current"])
+        self._design = design_of(self.rig.plant, {})
         vector = jnp.asarray(self.problem.nominal)
         ours = np.asarray(self.problem.predict(vector)[0])[0, 0][: len(self.recording)]
         channels = {"time": np.asarray(self.recording.time), "current": self._current}
@@ -88,8 +89,7 @@ class Comparison:
 
     def loop(self, steps: int) -> np.ndarray:
         """Return the contraction by the loop, m, shape ``(n,)``."""
-        design = design_of(self.rig.plant, {})
-        return fast_loop.dead_weight(design, self.recording.time, self._current, linear=True, substeps=steps)
+        return fast_loop.dead_weight(self._design, self.recording.time, self._current, linear=True, substeps=steps)
 
     def loops(self, designs: np.ndarray) -> np.ndarray:
         """Return the contractions of many designs by the loop, on all threads of numba, m, shape ``(m, n)``."""
