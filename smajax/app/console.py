@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -53,13 +54,15 @@ class CommandProgress:
         interrupted: Whether Ctrl-C was pressed while the result was written, or too late to stop the work before.
     """
 
-    def __init__(self, display: Progress):
+    def __init__(self, display: Progress, on_work: Callable[[], object] = lambda: None):
         """Begin without a phase.
 
         Args:
             display: Display of the events.
+            on_work: Called once, when the first phase begins that can stop.
         """
         self._display = display
+        self._on_work: Callable[[], object] | None = on_work
         self._previous: dict[int, Any] = {}
         self._handling = self._requested = self._has_result = self._can_stop = self._raised = False
         self._watch = InterruptWatch(_STOPPING, self._end)
@@ -93,6 +96,9 @@ class CommandProgress:
                 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
                     self._handle()
             self._display.phase(event.text)
+            if event.can_stop and self._on_work is not None:
+                self._on_work()
+                self._on_work = None
         else:
             self._display.step(event.text)
         if (self._requested or self.interrupted) and event.can_stop:

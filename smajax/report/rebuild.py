@@ -1,6 +1,8 @@
 """Report of a finished run, built again from the files in its folder without a simulation."""
 
+import contextlib
 import importlib
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,22 @@ def build_page(command: str, document: Mapping[str, Any], data: Any, run: Mappin
     """
     module, function = _PAGES[command]
     return getattr(importlib.import_module(f"smajax.report.{module}"), function)(document, data, run, rig)
+
+
+def load_page_builder(command: str) -> None:
+    """Load what ``build_page`` needs for a command in a thread, such as the classes of plotly, while numbers run.
+
+    Args:
+        command: The command.
+    """
+    threading.Thread(target=_load, args=(_PAGES[command][0],), daemon=True, name="smajax-report").start()
+
+
+def _load(module: str) -> None:
+    # An error is raised again where the page is built.
+    with contextlib.suppress(Exception):
+        importlib.import_module(f"smajax.report.{module}")
+        importlib.import_module("smajax.report.figures").base_layout()  # plotly loads its classes at their first use
 
 
 def rebuild_report(folder: Path) -> Path:

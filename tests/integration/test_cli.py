@@ -499,6 +499,28 @@ def test_a_ctrl_c_when_there_is_a_result_stops_the_next_search(monkeypatch):
             progress(ProgressEvent("tuning again", can_stop=True))
 
 
+def test_what_builds_a_report_is_loaded_when_the_work_begins():
+    """Once; the modules are loaded in a process of its own, since plotly is loaded in this one."""
+    calls: list[str] = []
+    with CommandProgress(Progress(quiet=True), lambda: calls.append("work")) as progress:
+        progress(ProgressEvent("reading"))
+        assert not calls
+        for _ in range(2):
+            progress(ProgressEvent("fitting", can_stop=True))
+        assert calls == ["work"]
+    program = (
+        "import sys, threading\n"
+        "from smajax.report.rebuild import load_page_builder\n"
+        "assert 'plotly' not in sys.modules\n"
+        "load_page_builder('fit')\n"
+        "next(t for t in threading.enumerate() if t.name == 'smajax-report').join(60)\n"
+        "print(*(name in sys.modules for name in ('smajax.report.run_pages', 'plotly.graph_objs._layout')))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.stdout == "True True\n", done.stderr
+
+
 def test_a_simulation_is_a_recording_again(bench):
     result = smajax("simulate", bench / "rig.toml", bench / "more.csv", "--out", bench / "simulated")
     assert result.exit_code == 0, result.output

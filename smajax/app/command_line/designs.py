@@ -24,7 +24,7 @@ def tune(
 ) -> None:
     """Tune a controller's gains in its closed loop with the rig; write them for a microcontroller."""
     check_files(toml={"rig": rig, "controller": controller}, out=out)
-    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS, page="tune") as progress:
         from smajax.api.tune import tune as tune_gains
 
         study = tune_gains(rig, controller, seed=seed, progress=progress)
@@ -52,7 +52,7 @@ def sweep(
 ) -> None:
     """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
     check_files(toml={"sweep": sweep_file}, out=out)
-    with start_run(quiet, accelerator=True, address_space=WIDE_PROGRAMS) as progress:
+    with start_run(quiet, accelerator=True, address_space=WIDE_PROGRAMS, page="sweep") as progress:
         from smajax.api.sweep import sweep as simulate_designs
 
         study = simulate_designs(

@@ -51,7 +51,7 @@ def demo(
     from smajax.recordings.datasets import data_path
 
     folder = data_path("recordings", "dead-weight-unexplained")
-    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS, page="diagnose") as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
         train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))

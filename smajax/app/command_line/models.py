@@ -107,7 +107,7 @@ def fit(
 ) -> None:
     """Fit a rig's free parameters to recordings, with intervals, and predict others."""
     check_files(toml={"rig": rig}, recordings=[*train, *(holdout or [])], out=out, reading=reading)
-    with start_run(quiet) as progress:
+    with start_run(quiet, page="fit") as progress:
         from smajax.api.fit import fit as fit_rig
 
         study = fit_rig(
@@ -155,7 +155,7 @@ def diagnose(
 ) -> None:
     """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
     check_files(toml={"rig": rig}, recordings=[train, select, holdout], out=out, reading=reading)
-    with start_run(quiet, address_space=MANY_PROGRAMS) as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS, page="diagnose") as progress:
         from smajax.app.commands.diagnose import diagnose_into
 
         study = diagnose_into(
@@ -194,7 +194,7 @@ def compare(
     """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
     names = None if models is None else [word.strip() for word in models.split(",") if word.strip()]
     check_files(toml={"rig": rig}, recordings=[train, holdout], out=out, reading=reading)
-    with start_run(quiet, address_space=WIDE_PROGRAMS) as progress:
+    with start_run(quiet, address_space=WIDE_PROGRAMS, page="compare") as progress:
         from smajax.api.compare import compare as compare_models
 
         study = compare_models(

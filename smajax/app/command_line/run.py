@@ -1,5 +1,6 @@
 """Start and end of a long command: progress, the command line for its record, output and exit code."""
 
+import functools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from smajax.app.console import CommandProgress
 
 
-def start_run(quiet: bool, accelerator: bool = False, address_space: int = FEW_PROGRAMS) -> "CommandProgress":
+def start_run(
+    quiet: bool, accelerator: bool = False, address_space: int = FEW_PROGRAMS, page: str = ""
+) -> "CommandProgress":
     """Show progress and configure JAX; call it before importing modules that use JAX.
 
     Until the first event, Ctrl-C ends the process.
@@ -25,6 +28,7 @@ def start_run(quiet: bool, accelerator: bool = False, address_space: int = FEW_P
         quiet: Whether no progress is shown.
         accelerator: Whether JAX may use an accelerator.
         address_space: Bytes of address space that the command needs.
+        page: Command whose report is built at the end; what builds it is loaded while the numbers run.
 
     Raises:
         NumericsError: If the process may not have the memory that JAX needs.
@@ -38,7 +42,13 @@ def start_run(quiet: bool, accelerator: bool = False, address_space: int = FEW_P
     display = Progress(quiet)
     display.phase("loading")
     prepare_jax(accelerator)
-    return CommandProgress(display)
+    return CommandProgress(display, functools.partial(_load_page_builder, page) if page else lambda: None)
+
+
+def _load_page_builder(command: str) -> None:
+    from smajax.report.rebuild import load_page_builder
+
+    load_page_builder(command)
 
 
 def argv() -> list[str]:
