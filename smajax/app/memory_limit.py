@@ -8,6 +8,7 @@ import contextlib
 import ctypes
 import os
 import signal
+import sys
 from pathlib import Path
 
 from smajax.app.output import say_on_stderr
@@ -48,9 +49,10 @@ def report_out_of_memory() -> None:
     """Continue in a child process if the address space is limited; this process then ends with the child's exit code.
 
     A child that was ended for missing memory is reported in one sentence, with the exit code of a numerical failure.
+    Where JAX is loaded already, its threads do not allow a child, and nothing is done.
     """
     limit = _address_space_limit()
-    if limit is None:
+    if limit is None or "jax" in sys.modules:
         return
     watched = (*_PASSED_ON, signal.SIGCHLD)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a process that ignores it is not told how a child ended
