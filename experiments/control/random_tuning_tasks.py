@@ -35,7 +35,7 @@ from smajax.control.tuning.controller_problem import tuning_problem
 from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.objective import make_objective
 from smajax.control.tuning.problem import TuningProblem, has_noise
-from smajax.control.tuning.search import BATCH, Candidate, GainSearch, rank
+from smajax.control.tuning.search import Candidate, GainSearch, rank
 from smajax.control.tuning.tune import TuningResult
 from smajax.control.tuning.tune import tune as tune_gains
 
@@ -141,8 +141,7 @@ def evolved(search: GainSearch, rollouts: int) -> Candidate:
     problem = search.problem
 
     def cost(points: np.ndarray) -> np.ndarray:
-        rows = np.atleast_2d(points.T)
-        found = [c for k in range(0, len(rows), BATCH) for c in search.candidates(rows[k : k + BATCH])]
+        found = search.candidates(np.atleast_2d(points.T))
         return np.array([c.cost + _VIOLATION_PENALTY * c.violation for c in found])
 
     size = POPULATION * len(problem.names)

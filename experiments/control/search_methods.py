@@ -36,7 +36,7 @@ from smajax.control.tuning.constrained import constrained
 from smajax.control.tuning.objective import Objective, make_objective
 from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem, noise_draws
-from smajax.control.tuning.search import BATCH, Candidate, GainSearch, rank
+from smajax.control.tuning.search import Candidate, GainSearch, rank
 from smajax.files.rig_file import read_rig
 from smajax.numerics.loop_kernels import jit_with_kernels
 
@@ -149,7 +149,7 @@ def starts(search: GainSearch) -> list[np.ndarray]:
     """Return the start gains and the best of points that cover the box, in the unit box."""
     size = len(search.problem.start)
     points = scipy.stats.qmc.Sobol(size, scramble=False).random(SCAN) + 0.5 / SCAN
-    found = [c for k in range(0, SCAN, BATCH) for c in search.candidates(points[k : k + BATCH])]
+    found = search.candidates(points)
     return [np.asarray(search.problem.start), min(found, key=rank).point]
 
 

@@ -40,11 +40,11 @@ import numpy as np
 
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.outcome import diagnose
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.files.rig_file import Rig, read_rig
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem, build_problem
+from smajax.numerics.ensemble import share_among_cores
 from smajax.parameters import parameter
 from smajax.plant.effects.base import HeatEffect, StageContext, WireState
 
@@ -123,7 +123,7 @@ def run_exhaustive_refit(rig: Rig, recordings: list, key: str) -> tuple[str, flo
                 values = {f"effects.{effect}.strength": size * problem.effects[effect].typical}
                 values |= {f"effects.{effect}.{n}": v for n, v in problem.shape_grid(effect)[0]}
                 starts.append((best.effect_set.with_effect(effect, values), base))
-        refits = map_in_pairs(lambda start: problem.fit(*start), starts)
+        refits = share_among_cores(lambda start: problem.fit(*start), starts)
         next_best = min(refits, key=criterion)
         if criterion(next_best) >= criterion(best):
             break

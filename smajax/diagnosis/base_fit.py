@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from smajax.diagnosis.data_split import TRAIN
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.residual_checks import estimate_noise
 from smajax.diagnosis.screening import orthonormal_basis
@@ -16,6 +15,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult, MultiStartSolver
 from smajax.fitting.noise import rounding_noise
 from smajax.fitting.problem import Problem
+from smajax.numerics.ensemble import share_among_cores
 
 # Norm of the residual's projection on the free parameters' Jacobian, relative to the residual, up to which a fit is
 # stationary. Chosen by trial.
@@ -79,7 +79,7 @@ def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:
     ends: list[MultiStartResult] = []
     while True:
         offsets = [rng.uniform(-1, 1, len(nominal)) if ends or k else np.zeros(len(nominal)) for k in range(2)]
-        ends = sorted([*ends, *map_in_pairs(search_from, offsets)], key=_cost)
+        ends = sorted([*ends, *share_among_cores(search_from, offsets)], key=_cost)
         same = [end for end in ends if end.costs[0] <= _SAME_COST * ends[0].costs[0]]
         best = next((end for end in same if is_stationary(base, end)), ends[0])
         converged = is_stationary(base, best)

@@ -9,7 +9,6 @@ import numpy as np
 from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit, RefitSearch
 from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.localisation import stage_shares
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.plausibility import absent_effects
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import (
@@ -23,6 +22,7 @@ from smajax.diagnosis.screening import (
 from smajax.diagnosis.sensitivities import EffectShape, effect_sensitivities
 from smajax.diagnosis.step_errors import step_length_error, stride_error
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.numerics.ensemble import share_among_cores
 
 # Distances of the samples that a search may use, the largest first.
 _STRIDES = (16, 8, 4, 2)
@@ -214,7 +214,7 @@ class CandidateEvaluator:
         effect_set, stride = fit.refit.effect_set, self.stride(fit.train_chi2)
         starts = [fit.refit.base, self.problem.nominal][: 1 if fit.at_noise else 2]
         rtol = _CONVERGENCE_RTOL if stride == 1 else _CONVERGENCE_RTOL_STRIDED
-        refits = map_in_pairs(
+        refits = share_among_cores(
             lambda base: self.fit(effect_set, base, stride, max_steps=_CONVERGENCE_STEPS, rtol=rtol), starts
         )
         return self.evaluate(min(refits, key=lambda r: r.chi2))

@@ -7,7 +7,7 @@ import numpy as np
 
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit, RefitSearch
-from smajax.diagnosis.parallel import map_in_pairs
+from smajax.numerics.ensemble import share_among_cores
 from smajax.parameters import declarations
 
 # Number of steps of one stage of a search, and of stages that follow the one with held shapes. Chosen by trial;
@@ -68,10 +68,12 @@ def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -
         return evaluator.continue_if_needed(search)
 
     best: dict[str, RefitSearch] = {}
-    for search in sorted(map_in_pairs(search_with_held_shapes, starts), key=lambda s: s.cost):
+    for search in sorted(share_among_cores(search_with_held_shapes, starts), key=lambda s: s.cost):
         best.setdefault(search.effect_set.keys[-1], search)
-    close = [s for s in map_in_pairs(search_with_free_shapes, list(best.values())) if s.cost < _BEHIND * refit.chi2]
-    fits = map_in_pairs(lambda s: evaluator.evaluate(problem.refit_from(s)), close)
+    close = [
+        s for s in share_among_cores(search_with_free_shapes, list(best.values())) if s.cost < _BEHIND * refit.chi2
+    ]
+    fits = share_among_cores(lambda s: evaluator.evaluate(problem.refit_from(s)), close)
     return [f for f in fits if math.isfinite(f.total_chi2) and not evaluator.is_negligible(f)]
 
 

@@ -35,13 +35,13 @@ from smajax.diagnosis.detectability import Detectability, NominalScore, assess_d
 from smajax.diagnosis.equivalence import is_equivalent
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.onset_times import refine_onsets
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.plausibility import plausible_fits, refusal
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.ranking import rank_effects
 from smajax.diagnosis.selection_state import SIGNIFICANCE, SelectionState, chi2_threshold
 from smajax.diagnosis.successive_halving import successive_halving
 from smajax.errors import Cancelled
+from smajax.numerics.ensemble import share_among_cores
 from smajax.progress import CallbackStop, stoppable
 
 # Least share of the base fit's excess over the noise that a cause explains: an effect that is near to a cause outside
@@ -300,7 +300,7 @@ def _converge_worse_fits(
     least = min((fit.total_chi2 for fit in better), default=math.inf)
     worse = [fit for fit in fits if fit.train_chi2 >= current.train_chi2 and fit.total_chi2 < least]
     worse = sorted(worse, key=lambda fit: fit.total_chi2)[:_MAX_CONVERGED]
-    return [*better, *map_in_pairs(evaluator.refit_to_convergence, worse)]
+    return [*better, *share_among_cores(evaluator.refit_to_convergence, worse)]
 
 
 def _refine_best(
@@ -362,7 +362,7 @@ def _refit_open_fits_jointly(
     def refit(fit: CandidateFit) -> CandidateFit:
         return evaluator.evaluate(refit_jointly(evaluator.problem, fit.refit))
 
-    pairs = zip(open_fits, map_in_pairs(refit, open_fits), strict=True)
+    pairs = zip(open_fits, share_among_cores(refit, open_fits), strict=True)
     joint = {id(fit): refitted for fit, refitted in pairs if refitted.at_noise}
     return [joint.get(id(fit), fit) for fit in fits]
 

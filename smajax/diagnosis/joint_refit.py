@@ -10,9 +10,9 @@ import scipy.optimize
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.onset_times import with_better_onsets
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.structure import ASK_FROM
+from smajax.numerics.ensemble import share_among_cores
 
 # Largest number of evaluations of a search, which starts near its optimum, at a fit of the training split. Chosen by
 # trial.
@@ -74,7 +74,7 @@ class _JointResidual:
         """Residual and Jacobian of the scored samples of both splits, and both of the whole training split."""
         problem, point = self.problem, np.frombuffer(packed)
         effect_set = self.effect_set(point)
-        pairs = map_in_pairs(
+        pairs = share_among_cores(
             lambda k: problem.evaluate(effect_set, point[: problem.size], k, self.free), (TRAIN, SELECT)
         )
         residual = np.concatenate([problem.counted_samples(r, k) for k, (r, _) in enumerate(pairs)])

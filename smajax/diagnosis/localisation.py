@@ -16,9 +16,9 @@ from smajax.diagnosis.candidates import NonparametricTerm, Refit
 from smajax.diagnosis.compiled_model import SLOTS
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.nonparametric import KINDS, KNOTS, FreeHeat, FreeShift, FreeStrain, hat_functions
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import orthonormal_basis, project_out
+from smajax.numerics.ensemble import share_among_cores
 
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 # A stage ties with the one of the largest share if its share is within the first number of the largest, or at least the
@@ -152,7 +152,7 @@ def node_sensitivities(
     """
     matrix = node_matrix(nodes) * node_unit(problem, kind)
     terms = [NonparametricTerm(kind, variable, *span, matrix[:, k : k + SLOTS]) for k in range(0, nodes, SLOTS)]
-    blocks = map_in_pairs(
+    blocks = share_among_cores(
         lambda term: problem.evaluate(refit.effect_set, refit.base, TRAIN, (), term)[1][:, problem.size :], terms
     )
     return [problem.counted_samples(derivative) for block in blocks for derivative in block.T]

@@ -20,10 +20,10 @@ import numpy as np
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.compiled_model import SLOTS
 from smajax.diagnosis.data_split import SELECT, TRAIN
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import orthonormal_basis, project_out
 from smajax.fitting.problem import Problem
+from smajax.numerics.ensemble import share_among_cores
 from smajax.recordings.recording import Recording
 
 # Largest number of inputs that are evaluated. Chosen by trial; tests/unit/diagnosis holds that the proposed one
@@ -104,7 +104,7 @@ def propose_experiment(
             options.append((recording, candidate))
         if len(options) == _MAX_EVALUATED:
             break
-    separations = map_in_pairs(lambda option: separation(option[1]), options)
+    separations = share_among_cores(lambda option: separation(option[1]), options)
     best = max(range(len(options)), key=lambda i: separations[i]) if options else -1
     if best < 0 or separations[best] < max(_MIN_DISCRIMINATION, _MIN_IMPROVEMENT * training_sigma):
         sigma = max([training_sigma, *separations])

@@ -21,8 +21,8 @@ from smajax.diagnosis import candidates
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit, RefitSearch
 from smajax.diagnosis.data_split import TRAIN
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.numerics.ensemble import share_among_cores
 
 # Number of onset times of the scan over a whole recording, and of the best of them from which a search starts. Chosen
 # by trial; tests/unit/diagnosis holds them.
@@ -73,9 +73,9 @@ def scan_onset_times(evaluator: CandidateEvaluator, search: RefitSearch) -> list
 
     for name in _onset_names(problem, refit):
         onsets = [problem.duration * (k + 0.5) / _SCANNED for k in range(_SCANNED)]
-        costs = map_in_pairs(lambda onset, name=name: cost_at(name, onset), onsets)
+        costs = share_among_cores(lambda onset, name=name: cost_at(name, onset), onsets)
         best_points = sorted(zip(costs, onsets, strict=True))[:_SEARCHED]
-        from_best = map_in_pairs(lambda point, name=name: search_from(name, point[1]), best_points)
+        from_best = share_among_cores(lambda point, name=name: search_from(name, point[1]), best_points)
         best = min(from_best, key=lambda s: s.cost)
         searches.append(evaluator.continue_if_needed(best.advance(_FINAL_STEPS)))
     return searches
@@ -141,7 +141,7 @@ def onset_prediction_error(
     for name in _onset_names(problem, refit):
         onsets, costs = _costs_near(problem, refit, refit.effect_set, name, fitted)
         allowed = onsets[costs < np.min(costs) + _ALLOWED_RISE]
-        predictions = map_in_pairs(
+        predictions = share_among_cores(
             lambda onset, name=name: problem.predict(refit.effect_set.with_values({name: onset}), refit.base, split),
             list(allowed),
         )
@@ -182,4 +182,4 @@ def _costs_near(
         ends.append(float(np.clip(fitted + direction * distance, 0.0, problem.duration)))
     count = min(int((ends[1] - ends[0]) / resolution) + 2, _MAX_INSTANTS)
     onsets = np.linspace(ends[0], ends[1], count)
-    return np.append(fitted, onsets), np.array([fitted_cost, *map_in_pairs(cost, list(onsets))])
+    return np.append(fitted, onsets), np.array([fitted_cost, *share_among_cores(cost, list(onsets))])

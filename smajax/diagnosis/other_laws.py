@@ -19,7 +19,6 @@ from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit
 from smajax.diagnosis.data_split import SELECT, TRAIN
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.problem_layout import GriddedSplits
 from smajax.diagnosis.support import MIN_FACT_SHARE
@@ -28,6 +27,7 @@ from smajax.fitting import abstract_problem
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.material_laws import law_name, with_law
 from smajax.fitting.multi_start import MultiStartSolver
+from smajax.numerics.ensemble import share_among_cores
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.plant import Plant
 
@@ -131,7 +131,7 @@ class OtherLaws:
                 self._skipped[name] = str(error)
                 return None
 
-        fits = map_in_pairs(fit, [name for name in MATERIALS if name != self._own])
+        fits = share_among_cores(fit, [name for name in MATERIALS if name != self._own])
         return [f for f in fits if f is not None]
 
 

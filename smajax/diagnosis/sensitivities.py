@@ -6,8 +6,8 @@ from jaxtyping import Float
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.compiled_model import SLOTS
 from smajax.diagnosis.data_split import TRAIN
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.numerics.ensemble import share_among_cores
 
 EffectShape = tuple[str, tuple[tuple[str, float], ...]]  # key and shape of an effect
 
@@ -42,7 +42,7 @@ def effect_sensitivities(
         _, jacobian = problem.evaluate(effect_set.with_values(shapes), base, TRAIN, strengths)
         return [jacobian[:, problem.size + j] for j in range(len(batch))]
 
-    results = map_in_pairs(differentiate, batches)
+    results = share_among_cores(differentiate, batches)
     return {
         item: derivative
         for batch, derivatives in zip(batches, results, strict=True)

@@ -20,10 +20,10 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit, EffectSet
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.memory import diagnosis_memory
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.fitting.memory import free_memory
+from smajax.numerics.ensemble import share_among_cores
 from smajax.parameters import declarations
 from smajax.plant.cells import Cells
 from smajax.plant.effects.end_conduction import EndConduction
@@ -267,7 +267,7 @@ def fit_from(
     problem, stride = evaluator.problem, evaluator.stride(reduced_chi2)
     free = tuple(problem.free_effect_parameters(effect_set))
     searches = [problem.start_search(effect_set, start, free=free, rtol=_RTOL, stride=stride) for start in starts]
-    best = min(map_in_pairs(lambda s: s.advance(_START_STEPS), searches), key=lambda s: s.cost)
+    best = min(share_among_cores(lambda s: s.advance(_START_STEPS), searches), key=lambda s: s.cost)
     return evaluator.evaluate(problem.refit_from(evaluator.continue_if_needed(best.advance(_STEPS))))
 
 

@@ -16,7 +16,6 @@ from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import CandidateFit
 from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.joint_refit import refit_jointly
-from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
     CELLS,
@@ -29,6 +28,7 @@ from smajax.diagnosis.structure import (
     holding,
     refit,
 )
+from smajax.numerics.ensemble import share_among_cores
 
 # Largest share of the excess mean square on each split that a structure leaves, if fits to both splits decide: that of
 # facts (``support``).
@@ -125,7 +125,7 @@ def compare_variants(
     variants = [v for v in VARIANTS if has_cells or v in ("neither", "grains")]
     fits = {variants[0]: (rig, _fit_without(rig, state, current)), variants[-1]: (evaluator, current)}
     between = variants[1:-1]
-    held = map_in_pairs(lambda v: _fit_held(evaluator, current, held_values(v, has_cells)), between)
+    held = share_among_cores(lambda v: _fit_held(evaluator, current, held_values(v, has_cells)), between)
     fits |= zip(between, held, strict=True)
     errors = {v: math.sqrt(fits[v][1].select_chi2) for v in variants}
     best = min(errors, key=lambda v: errors[v])

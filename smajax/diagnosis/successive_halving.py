@@ -12,7 +12,7 @@ from smajax.diagnosis.candidate_evaluation import FAR_FROM_NOISE, CandidateEvalu
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet, RefitSearch
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.onset_times import scan_onset_times
-from smajax.diagnosis.parallel import map_in_pairs
+from smajax.numerics.ensemble import share_among_cores
 
 # Rounds: number of searches of each group that continue, and number of their steps, the first of which only evaluates
 # the start. Chosen by trial.
@@ -72,14 +72,14 @@ def successive_halving(
     stride = evaluator.stride(min(parents, default=0.0))
     starts = _Starts(evaluator, near, far, stride)
     groups, searches = _halve(evaluator, starts, stride, schedule)
-    searches += map_in_pairs(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
-    by_search = map_in_pairs(lambda search: scan_onset_times(evaluator, search), groups[0])
+    searches += share_among_cores(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
+    by_search = share_among_cores(lambda search: scan_onset_times(evaluator, search), groups[0])
     searches += [search for scanned in by_search for search in scanned]
     best: dict[frozenset[str], RefitSearch] = {}
     for search in sorted(searches, key=lambda s: s.cost):
         best.setdefault(frozenset(search.effect_set.keys), search)
-    refits = map_in_pairs(problem.refit_from, list(best.values())[:_MAX_EVALUATED])
-    fits = map_in_pairs(evaluator.evaluate, [r for r in refits if math.isfinite(r.chi2)])
+    refits = share_among_cores(problem.refit_from, list(best.values())[:_MAX_EVALUATED])
+    fits = share_among_cores(evaluator.evaluate, [r for r in refits if math.isfinite(r.chi2)])
     return [fit for fit in fits if math.isfinite(fit.total_chi2) and not evaluator.is_negligible(fit)]
 
 
@@ -172,5 +172,5 @@ def _halve(
             if ranked and evaluator.stride(ranked[0].cost / problem.samples) < stride:
                 groups = [[problem.continue_on_all_samples(s, 0) for s in groups[0]]]
                 searches += groups[0]
-        map_in_pairs(lambda s, steps=steps: s.advance(steps), [s for g in groups for s in g])
+        share_among_cores(lambda s, steps=steps: s.advance(steps), [s for g in groups for s in g])
     return groups, searches

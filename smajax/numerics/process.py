@@ -1,5 +1,6 @@
 """Settings of the process that runs smajax: JAX's platform and cache, garbage collection, processor cores."""
 
+import ctypes
 import gc
 import os
 import tempfile
@@ -8,6 +9,10 @@ from pathlib import Path
 # Objects allocated before the garbage collector runs (Python's default is 700 to 2000). Serialising a compiled program
 # allocates many small objects, none of which is garbage. Chosen by trial.
 _GARBAGE_THRESHOLD = 200_000
+# Parameters of mallopt(3) of the GNU C library with their values: up to 512 MiB that are freed at the end of the heap
+# are kept, and all threads share one heap, also for large arrays. A program gets the arrays of each batch from the
+# system anew otherwise, which clears all of their pages. Chosen by experiments/speed/allocator.py.
+_KEEP_FREED_MEMORY = {-1: 512 * 2**20, -4: 0, -8: 1}  # M_TRIM_THRESHOLD, M_MMAP_MAX, M_ARENA_MAX
 STORED_PROGRAMS = "SMAJAX_STORED_PROGRAMS"
 """Environment variable: whether traced programs are kept between processes, ``on`` or ``off``."""
 
@@ -30,6 +35,7 @@ def prepare_jax(accelerator: bool = False) -> None:
     """
     os.environ.setdefault("EQX_ON_ERROR", "off")
     gc.set_threshold(_GARBAGE_THRESHOLD, 20, 50)
+    keep_freed_memory()
     import jax
 
     from smajax.numerics.jax_setup import set_compiler_options
@@ -46,6 +52,18 @@ def prepare_jax(accelerator: bool = False) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     os.environ.setdefault(STORED_PROGRAMS, "on")
+
+
+def keep_freed_memory() -> None:
+    """Let the allocator keep what is freed for the next call of a program; GNU C library only, else nothing changes."""
+    try:
+        library = ctypes.CDLL(None)
+    except (OSError, TypeError):  # Windows
+        return
+    if not hasattr(library, "gnu_get_libc_version"):
+        return
+    for parameter, value in _KEEP_FREED_MEMORY.items():
+        library.mallopt(parameter, value)
 
 
 def count_cores() -> int:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from smajax.errors import InputError
+from smajax.numerics.ensemble import evaluate_members
 from smajax.sweeps import compilation
 from smajax.sweeps.problem import CODES, AbstractSweepProblem
 from smajax.sweeps.table import read_table, write_table
@@ -102,32 +102,21 @@ def evaluate_designs(
     size = compilation.batch_size(problem, steps, gradients)
     if compilation.on_accelerator():  # few designs are not padded to the accelerator's large batch
         size = min(size, 2 ** math.ceil(math.log2(max(1, len(designs)))))
-    starts = range(0, len(designs), size)
 
-    def run_batch(first: int) -> dict[str, np.ndarray]:
-        """Return the columns of the batch whose first design is number ``first``."""
-        # The last batch is padded with its last design, so that all batches use one program.
-        rows = np.minimum(np.arange(first, first + size), len(designs) - 1)
-        batch = compilation.spread_over_devices(designs[rows])
-        derivatives: dict[str, jax.Array] = {}
-        if gradients:
-            metrics, derivatives, codes = compilation.differentiate_batch(problem, batch, steps)
-        else:
-            metrics, codes = compilation.evaluate_batch(problem, batch, steps)
-        count = min(size, len(designs) - first)
-        columns = {n: np.asarray(metrics[n])[:count] for n in problem.units}
-        for n in problem.units if gradients else ():
-            table = np.asarray(derivatives[n])[:count]
+    def run_batch(batch: np.ndarray) -> dict[str, Any]:
+        """Return the columns of a batch."""
+        spread = compilation.spread_over_devices(batch)
+        if not gradients:
+            metrics, codes = compilation.evaluate_batch(problem, spread, steps)
+            return {n: metrics[n] for n in problem.units} | {"code": codes}
+        metrics, derivatives, codes = compilation.differentiate_batch(problem, spread, steps)
+        columns = {n: metrics[n] for n in problem.units}
+        for n in problem.units:
+            table = np.asarray(derivatives[n])
             columns |= {derivative_column(n, axis): table[:, k] for k, axis in enumerate(problem.names)}
-        return columns | {"code": np.asarray(codes)[:count]}
+        return columns | {"code": codes}
 
-    if workers > 1 and len(starts) > 1:
-        parts = [run_batch(0)] if new_program else []
-        with ThreadPoolExecutor(workers) as pool:
-            parts += pool.map(run_batch, starts[len(parts) :])
-    else:
-        parts = [run_batch(first) for first in starts]
-    columns = {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
+    columns = evaluate_members(run_batch, designs, size, workers=workers, new_program=new_program)
     return columns | {"code": np.asarray(CODES)[columns["code"]]}
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from smajax.numerics.evolution import evolve_in_unit_box
 from smajax.numerics.jax_setup import on_cpu
 from smajax.sweeps.chunks import evaluate_designs
+from smajax.sweeps.compilation import parallel_batches
 from smajax.sweeps.constraints import MARGIN, safe_bounds
 from smajax.sweeps.pareto import constraint_violation
 from smajax.sweeps.problem import AbstractSweepProblem
@@ -102,7 +103,7 @@ def _evaluate(problem: AbstractSweepProblem, designs: Float[np.ndarray, "designs
     with on_cpu():
         for level in np.unique(steps):
             rows = steps == level
-            values = evaluate_designs(problem, designs[rows], int(level))
+            values = evaluate_designs(problem, designs[rows], int(level), workers=parallel_batches())
             for n in columns:
                 columns[n][rows] = np.where(values["code"] == "done", values[n], np.nan)
     return columns

@@ -23,6 +23,7 @@ from smajax.control.analysis.members import members_at_rest, rollout_members
 from smajax.control.analysis.step_response import StepResponse
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.rollout import Rollout
+from smajax.numerics.ensemble import share_among_cores
 from smajax.numerics.stored_programs import stored
 
 # Number of cases in one call of the compiled program; chosen by trial for speed.
@@ -96,30 +97,53 @@ def check_cases(task: ControlTask, tuned: Mapping[str, float], cases: Sequence[C
     Returns:
         Metrics and responses of each case, and the cases that fail.
     """
-    metrics: list[dict[str, float]] = []
-    responses: list[tuple[StepResponse, ...]] = []
-    unstable: list[int] = []
-    beyond: dict[str, list[int]] = {}
     count = len(jump_responses(task, np.asarray(task.scenario.reference)))
-    for first in range(0, len(cases), BATCH):
+
+    def check_batch(first: int) -> list[_CaseResult]:
         # The last batch is padded with the last case, so that one compiled program serves all batches.
         batch = [cases[min(k, len(cases) - 1)] for k in range(first, first + BATCH)]
         result = _simulate_batch(task, tuned, batch)
         channels, commands = {n: np.asarray(v) for n, v in result.channels.items()}, np.asarray(result.command)
-        for k in range(min(BATCH, len(cases) - first)):
-            own = {n: v[k] for n, v in channels.items()}
-            of_case = _resting_task(task) if batch[k].rests else task
-            jumps = jump_responses(of_case, own[task.loop.channel])
-            missing = (_NO_JUMP,) * (count - len(jumps))
-            responses.append((*missing, *jumps))
-            metrics.append({**(_NO_JUMP._asdict() if missing else {}), **rollout_metrics(of_case, own, commands[k])})
-            for name in violated_limits(task.limits, metrics[-1]):
-                beyond.setdefault(name, []).append(first + k)
-            is_quiet = not np.any(batch[k].noise)
-            if is_quiet and rollout_instability(task, commands[k], own[task.loop.channel]):
-                unstable.append(first + k)
-    rows = {name: tuple(numbers) for name, numbers in beyond.items()}
-    return CaseCheck(tuple(cases), tuple(metrics), tuple(responses), tuple(unstable), rows)
+        return [
+            _case_result(task, batch[k], count, {n: v[k] for n, v in channels.items()}, commands[k])
+            for k in range(min(BATCH, len(cases) - first))
+        ]
+
+    parts = share_among_cores(check_batch, range(0, len(cases), BATCH), new_program=True)
+    results = [result for part in parts for result in part]
+    beyond = {
+        name: tuple(k for k, result in enumerate(results) if name in result.beyond)
+        for name in dict.fromkeys(name for result in results for name in result.beyond)
+    }
+    return CaseCheck(
+        tuple(cases),
+        tuple(result.metrics for result in results),
+        tuple(result.responses for result in results),
+        tuple(k for k, result in enumerate(results) if result.unstable),
+        beyond,
+    )
+
+
+class _CaseResult(NamedTuple):
+    """Metrics and responses of a case, whether it is unstable, and the limits that it violates."""
+
+    metrics: dict[str, float]
+    responses: tuple[StepResponse, ...]
+    unstable: bool
+    beyond: tuple[str, ...]
+
+
+def _case_result(
+    task: ControlTask, case: Case, count: int, channels: dict[str, np.ndarray], command: np.ndarray
+) -> _CaseResult:
+    """What a rollout of a case gives; ``count`` is the number of jumps of the reference."""
+    of_case = _resting_task(task) if case.rests else task
+    jumps = jump_responses(of_case, channels[task.loop.channel])
+    missing = (_NO_JUMP,) * (count - len(jumps))
+    metrics = {**(_NO_JUMP._asdict() if missing else {}), **rollout_metrics(of_case, channels, command)}
+    is_quiet = not np.any(case.noise)
+    unstable = is_quiet and bool(rollout_instability(task, command, channels[task.loop.channel]))
+    return _CaseResult(metrics, (*missing, *jumps), unstable, tuple(violated_limits(task.limits, metrics)))
 
 
 def _resting_task(task: ControlTask) -> ControlTask:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from smajax.control.tuning.search import BATCH, GainSearch, rank
+from smajax.control.tuning.search import GainSearch, rank
 from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS
 
 # All constants were chosen by experiments/control/search_methods.py.
@@ -35,8 +35,7 @@ def constrained(search: GainSearch, points: Float[np.ndarray, "starts gains"]) -
         NumericsError: if no point has a finite cost.
     """
     spread = scipy.stats.qmc.Sobol(points.shape[1], scramble=False).random(_SCAN) + 0.5 / _SCAN
-    scanned = [c for k in range(0, _SCAN, BATCH) for c in search.candidates(spread[k : k + BATCH])]
-    for start in (*points, min(scanned, key=rank).point):
+    for start in (*points, min(search.candidates(spread), key=rank).point):
         search.search_by_cobyqa(start, search.problem, *_COBYQA)
     search.search_by_cobyqa(search.best().point, search.problem, *COBYQA_ALL_MEMBERS)
     return search.best().point

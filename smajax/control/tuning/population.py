@@ -6,7 +6,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from smajax.control.tuning.search import BATCH, Candidate, GainSearch, rank
+from smajax.control.tuning.search import Candidate, GainSearch, rank
 from smajax.numerics.evolution import evolve_in_unit_box
 
 # Size of the populations, and number of their generations; chosen by experiments/control/random_tuning_tasks.py.
@@ -67,7 +67,8 @@ def _evolve(search: GainSearch, first: Float[np.ndarray, "points gains"]) -> Non
     """Evolve a population; the search records what it evaluates."""
 
     def cost(points: np.ndarray) -> np.ndarray:
-        candidates = [c for k in range(0, points.shape[1], BATCH) for c in search.candidates(points.T[k : k + BATCH])]
+        candidates = search.candidates(points.T)
+        search.progress(search.rollouts, min(candidates, key=rank).cost)
         return np.array([_log_cost(candidate) for candidate in candidates])
 
     evolve_in_unit_box(cost, first, _GENERATIONS, seed=0)

@@ -21,9 +21,10 @@ from smajax.control.tuning.objective import LIMITS, TERMS, Objective, ObjectiveT
 from smajax.control.tuning.problem import TuningProblem, evaluate_points
 from smajax.control.tuning.trust_region import SearchState
 from smajax.errors import NumericsError
+from smajax.numerics.ensemble import evaluate_members
 from smajax.numerics.stored_programs import stored
 
-# Number of points that one call of the compiled program evaluates.
+# Number of points that one call of the compiled program evaluates; more are shared among the cores.
 BATCH = 8
 # Largest violation that counts as none, dimensionless: a search within limits ends at a limit, up to this tolerance.
 VIOLATION_TOLERANCE = 1e-3
@@ -130,6 +131,7 @@ class GainSearch:
         self.evaluated: list[Candidate] = []
         self._least: float = math.inf
         self._settles: bool = settle
+        self._compiled: set[int] = set()  # numbers of members for which batches are compiled
         terms, violations = self.evaluate(problem.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale: np.ndarray = np.where(usable, terms[0], 1.0)
@@ -157,10 +159,17 @@ class GainSearch:
             Terms, not divided by those at the start, shape ``(k, 5)``, and largest violation of each limit, shape
             ``(k, 5)``; infinite where it is NaN.
         """
-        problem = problem or self.problem
-        self.rollouts += len(points) * problem.count
-        terms, violations = evaluate_points(problem, jnp.asarray(points), self.objective)
-        return np.asarray(terms), np.nan_to_num(np.asarray(violations), nan=np.inf)
+        members = problem or self.problem
+        self.rollouts += len(points) * members.count
+        terms, violations = evaluate_members(
+            lambda batch: evaluate_points(members, jnp.asarray(batch), self.objective),
+            points,
+            min(BATCH, len(points)),
+            new_program=members.count not in self._compiled,
+        )
+        if len(points) >= BATCH:
+            self._compiled.add(members.count)
+        return terms, np.nan_to_num(violations, nan=np.inf)
 
     def candidates(
         self, points: Float[np.ndarray, "points gains"], problem: TuningProblem | None = None

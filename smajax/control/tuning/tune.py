@@ -216,6 +216,5 @@ def _starts(search: GainSearch, starts: int, seed: int) -> Float[np.ndarray, "st
     count = max(_MIN_SCREENED, BATCH * -(-starts // 2))
     points = np.random.default_rng(seed).uniform(size=(count, own.shape[1]))
     members = search.problem.single_member() if search.has_no_limits else search.problem
-    batches = [search.candidates(points[k : k + BATCH], members) for k in range(0, count, BATCH)]
-    candidates = sorted((candidate for batch in batches for candidate in batch), key=rank)
+    candidates = sorted(search.candidates(points, members), key=rank)
     return np.vstack([own, *(candidate.point for candidate in candidates[: starts - 1])])

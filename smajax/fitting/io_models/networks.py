@@ -17,9 +17,7 @@ import contextlib
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -32,6 +30,7 @@ from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.compilation import SEARCH_OPTIONS
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
 from smajax.fitting.multi_start import MultiStartSolver
+from smajax.numerics.ensemble import share_among_cores
 from smajax.numerics.nonsmooth import clip
 from smajax.numerics.stored_programs import stored
 from smajax.progress import CallbackStop, stoppable
@@ -222,9 +221,8 @@ def _fit_ridges(
         ]
         try:
             progress(number + 1, float(ends[0].costs[0]))
-            with ThreadPoolExecutor(os.cpu_count()) as pool:  # a search of one start is one thread
-                task = lambda part, starting, ridge=ridge: train(part, ridge, starting, (rows,))  # noqa: E731
-                ends = list(pool.map(task, problems, points))
+            pairs = list(zip(problems, points, strict=True))
+            ends = share_among_cores(lambda pair, ridge=ridge: train(pair[0], ridge, pair[1], (rows,)), pairs)
         except (CallbackStop, KeyboardInterrupt):
             # Before the first ridge there is the end of the first search alone.
             errors, best = errors or [(0.0, math.inf)], best or [first.vectors[:1]]

@@ -569,6 +569,8 @@ def test_a_population_finds_gains_that_keep_all_limits(monkeypatch):
     class SearchStub(GainSearch):
         def __init__(self):
             self.evaluated: list[Candidate] = []
+            self.rollouts, self.costs = 0, []
+            self.progress = lambda rollouts, cost: self.costs.append(cost)
 
         def candidates(self, points, problem=None):
             result = [
@@ -581,6 +583,7 @@ def test_a_population_finds_gains_that_keep_all_limits(monkeypatch):
     search.candidates(np.array([[0.1, 0.9], [0.5, 0.5]]))
     result = evolve_population(search, np.array([0.2, 0.8]))
     assert result.violation == 0.0 and 1.62 <= result.cost < 1.65 and len(search.evaluated) == 2 + 16 * (48 + 32)
+    assert len(search.costs) == 2 * 16  # progress is reported, and may stop the search, after each generation
 
 
 def test_a_channel_that_falls_with_heat_is_refused(tmp_path):

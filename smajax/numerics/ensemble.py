@@ -1,0 +1,74 @@
+"""Evaluation of a compiled program for many members: batches of one size, shared among the processor's cores.
+
+A batch fills the vector units of one core, so that members are shared among cores by batches, each in a thread of its
+own: a compiled program holds no lock of Python. What a batch contains follows from the members alone, so that the
+results are the same with any number of cores.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+
+from smajax.numerics.process import count_cores
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def share_among_cores(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    *,
+    workers: int | None = None,
+    new_program: bool = False,
+) -> list[Result]:
+    """Apply a function that runs compiled programs to tasks, in one thread per core.
+
+    Args:
+        function: Called with each task, in a thread.
+        tasks: The tasks.
+        workers: Number of threads; one per core by default, and one on an accelerator.
+        new_program: Whether the program is not compiled yet; the first task then runs alone, so that only one thread
+            compiles it.
+
+    Returns:
+        The results in the order of the tasks.
+    """
+    if workers is None:
+        workers = count_cores() if jax.default_backend() == "cpu" else 1
+    alone = 1 if new_program else 0
+    if min(workers, len(tasks) - alone) <= 1:
+        return [function(task) for task in tasks]
+    results = [function(task) for task in tasks[:alone]]
+    with ThreadPoolExecutor(min(workers, len(tasks) - alone)) as pool:
+        return results + list(pool.map(function, tasks[alone:]))
+
+
+def evaluate_members(
+    program: Callable[[Any], Any], members: Any, size: int, *, workers: int | None = None, new_program: bool = False
+) -> Any:
+    """Evaluate a program for all members of an ensemble, in batches that are shared among the cores.
+
+    Args:
+        program: Function of a batch of members that returns arrays, each with a leading axis of ``size``.
+        members: Arrays, a pytree, each with a leading axis of the number of members.
+        size: Number of members of a batch. The last batch is filled up with copies of the last member, so that all
+            batches use one compiled program.
+        workers: Number of threads, as in ``share_among_cores``.
+        new_program: Whether the program is not compiled yet.
+
+    Returns:
+        What the program returns, as NumPy arrays with a leading axis of the number of members.
+    """
+    count = len(jax.tree.leaves(members)[0])
+
+    def run_batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        results = program(jax.tree.map(lambda leaf: np.asarray(leaf)[rows], members))
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: count - first], results)
+
+    parts = share_among_cores(run_batch, range(0, count, size), workers=workers, new_program=new_program)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
