@@ -24,10 +24,11 @@ def prepare_jax(accelerator: bool = False) -> None:
     any case. The rest makes programs faster and changes no result; from Python call it before anything is compiled.
     Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``, and so are
     traced ones, unless ``SMAJAX_STORED_PROGRAMS`` is ``off``. If no folder can be written, nothing is cached, and
-    everything else works. A GPU is many times as slow for a few simulations at a time, and faster for thousands of
-    designs in parallel. Equinox's run-time checks are switched off: they call Python from the compiled program, which
-    then cannot be cached. smajax's simulations have status codes instead. Where equinox was imported before, its checks
-    stay; where JAX has compiled something before, its compiler options stay.
+    everything else works. Freed memory is kept for the next call (``keep_freed_memory``). A GPU is many times as slow
+    for a few simulations at a time, and faster for thousands of designs in parallel. Equinox's run-time checks are
+    switched off: they call Python from the compiled program, which then cannot be cached. smajax's simulations have
+    status codes instead. Where equinox was imported before, its checks stay; where JAX has compiled something before,
+    its compiler options stay.
 
     Args:
         accelerator: Whether JAX may use an accelerator, as for a sweep; otherwise it uses the CPU, unless
