@@ -87,14 +87,15 @@ def compare(
     with clock.time("fit"):
         report = partial(_report, reporter)
         results = compare_models(rig, names, recordings, seed=seed, progress=report)
-    code = Cancelled.exit_code if len(results) < len(names) else 0
+    missing = [name for name in names if name not in {result.name for result in results}]
+    code = Cancelled.exit_code if missing else 0
     reporter.finish("writing the report")
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),
         series=tuple(_series(rig.fit.observe[0], results, recordings)),
         run=run_record("compare", rig.name, clock, seed, code) | {"inputs": inputs},
         files={"rig.toml": text.encode()},
-        reason=f"interrupted: {', '.join(names[len(results) :])} not compared" if code else "",
+        reason=f"interrupted: {', '.join(missing)} not compared" if missing else "",
         results=tuple(results),
     )
 

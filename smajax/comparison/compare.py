@@ -1,6 +1,7 @@
 """Fits of several models to one recording, and their predictions of another."""
 
 import dataclasses
+import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -11,6 +12,7 @@ from smajax.comparison.material_models import fit_material_model
 from smajax.comparison.model_result import ModelResult
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.rig_file import Rig
+from smajax.numerics.ensemble import share_among_cores
 from smajax.plant.materials.registry import MATERIALS
 from smajax.progress import CallbackStop, stoppable
 from smajax.recordings.recording import Recording
@@ -27,7 +29,7 @@ def compare_models(
     seed: int,
     progress: Callable[[str], object] = lambda model: None,
 ) -> list[ModelResult]:
-    """Fit each model to the training recording and predict the first observed channel of the holdout.
+    """Fit each model to the training recording and predict the first observed channel of the holdout, one per core.
 
     Args:
         rig: The rig, with the fit settings of the material laws.
@@ -39,22 +41,37 @@ def compare_models(
 
     Returns:
         A result for each model, in the given order; one that cannot be fitted has a reason instead of predictions. A
-        comparison that is stopped has the models that were fitted before.
+        comparison that is stopped has the models that were fitted before. The wall time of a model is longer where
+        others were fitted at the same time.
 
     Raises:
         InputError: If no model can be fitted, for each of them because of the input.
         NumericsError: If no model can be fitted, for at least one of them because of the numerics.
         Cancelled: If the comparison is stopped before a model was fitted.
     """
-    results: list[ModelResult] = []
-    report = stoppable(progress)
+    report, lock, waiting = stoppable(progress), threading.Lock(), list(models)
+    finished: dict[str, ModelResult] = {}
+
+    def fit_next(_: int) -> None:
+        try:
+            with lock:
+                if not waiting:
+                    return
+                name = waiting.pop(0)
+                if name != models[0]:
+                    report(name)
+            finished[name] = _fit_model(rig, name, recordings, rig.fit.observe[0], seed)
+        except (CallbackStop, Cancelled):
+            waiting.clear()
+
     try:
-        for name in models:
-            report(name)
-            results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
-    except (CallbackStop, KeyboardInterrupt, Cancelled):
-        if all(result.reason for result in results):
-            raise Cancelled("the comparison was cancelled before a model was fitted") from None
+        report(models[0])  # in this thread, which alone may set the handling of Ctrl-C
+        share_among_cores(fit_next, range(len(models)))
+    except (CallbackStop, KeyboardInterrupt):
+        waiting.clear()
+    results = [finished[name] for name in models if name in finished]
+    if len(results) < len(models) and all(result.reason for result in results):
+        raise Cancelled("the comparison was cancelled before a model was fitted")
     if all(result.reason for result in results):
         error = InputError if all(result.input_insufficient for result in results) else NumericsError
         raise error("no model could be fitted: " + _merge_reasons(results))

@@ -43,8 +43,11 @@ def share_among_cores(
     if min(workers, len(tasks) - alone) <= 1:
         return [function(task) for task in tasks]
     results = [function(task) for task in tasks[:alone]]
-    with ThreadPoolExecutor(min(workers, len(tasks) - alone)) as pool:
+    pool = ThreadPoolExecutor(min(workers, len(tasks) - alone))
+    try:
         return results + list(pool.map(function, tasks[alone:]))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # after an error or Ctrl-C, tasks that run are not waited for
 
 
 def evaluate_members(

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -398,6 +399,23 @@ def test_a_comparison_that_is_stopped_has_the_models_before(signal, monkeypatch)
     stopped_at = "a"
     with pytest.raises(Cancelled, match="before a model was fitted"):
         compare.compare_models(rig, ["a", "b"], [], seed=0, progress=stop)
+
+
+def test_models_are_fitted_one_per_core(monkeypatch):
+    """Each of two waits for the other; a third that is cancelled ends the comparison."""
+    barrier = threading.Barrier(2)
+
+    def fit_stub(rig, name, *_):
+        if name == "c":
+            raise Cancelled("stopped")
+        barrier.wait(60.0)
+        return _result(name, 0.1)
+
+    monkeypatch.setattr(compare, "_fit_model", fit_stub)
+    monkeypatch.setattr("smajax.numerics.ensemble.count_cores", lambda: 2)
+    rig, reported = read_rig(data_path("recordings", "dead-weight") / "rig.toml"), []
+    results = compare.compare_models(rig, ["a", "b", "c"], [], seed=0, progress=reported.append)
+    assert [result.name for result in results] == ["a", "b"] and reported == ["a", "b", "c"]
 
 
 def test_a_reason_that_models_share_is_said_once(monkeypatch):
