@@ -765,9 +765,19 @@ def test_check_reads_controllers_and_sweeps_and_lists_effects(tmp_path):
     assert "controller.toml: PID of displacement, every 20 ms, for example.toml" in whole.stdout
     assert re.search(r"^ +kp +30 +A/m +0.3 .. 3000$", whole.stdout, re.MULTILINE)
     assert "sweep.toml: 1,024 designs of example.toml" in whole.stdout
-    assert "peak_temperature at most 120 degC" in whole.stdout
+    assert "peak_temperature at most 120 degC" in whole.stdout and "strain_range at most 3.5 %" in whole.stdout
+    assert "Limits of the material (flexinol): peak_stress at most 172 MPa for 1,000,000 cycles" in whole.stdout
+    assert "Objective: 1 tracking + 0.01 effort + 1 overshoot. Limits: temperature at most 110 degC." in whole.stdout
     alone = smajax("check", sweep)
     assert alone.exit_code == 0 and "wire.diameter     0.1 mm .. 0.3 mm" in alone.stdout
+    ambient = '[margins]\nvary = { "environment.ambient" = "3 K" }\n'
+    (tmp_path / "margins.toml").write_text(sweep.read_text("utf-8") + ambient, "utf-8")
+    with_margins = smajax("check", tmp_path / "margins.toml")
+    assert with_margins.exit_code == 0, with_margins.output
+    assert "highest_peak_temperature at most 120 degC" in with_margins.stdout
+    robust = controller.read_text("utf-8") + '[robust]\nfit = "nowhere"\n'
+    (tmp_path / "robust.toml").write_text(robust, "utf-8")
+    assert "robust.fit: " in sentence(smajax("check", rig, tmp_path / "robust.toml"), 2)
     controller.write_text(controller.read_text("utf-8").replace("kp = ", "kpp = ", 1), "utf-8")
     assert "kpp" in sentence(smajax("check", rig, controller), 2)
     sweep.write_text(sweep.read_text("utf-8").replace("wire.diameter", "wire.diametre", 1), "utf-8")

@@ -1,14 +1,18 @@
 """Descriptions of controller and sweep files for ``smajax check``."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from smajax.channels import CHANNELS, channel_of
-from smajax.control.controller_file.read import read_controller
+from smajax.control.controller_file.read import ControllerFile, read_controller
+from smajax.control.controller_file.search_sections import LIMIT_UNITS
 from smajax.control.loop.gains import gain, gains
+from smajax.control.tuning.controller_problem import draw_parameters
 from smajax.files.rig_file import Rig
+from smajax.report.shown_values import format_in_unit
 from smajax.report.summary import table
 from smajax.sweeps.sweep_file import read_sweep
 from smajax.units import as_text
@@ -25,6 +29,7 @@ def describe_controller(path: Path, rig: Rig) -> list[str]:
         InputError: For a mistake in the file.
     """
     content = read_controller(path, rig)
+    draw_parameters(rig, content, content.seed)  # raises for a folder of [robust] without a fit
     loop, scenario = content.loop, content.scenario
     channel = loop.channel
     unit = CHANNELS[channel_of(channel) or channel].unit
@@ -41,7 +46,20 @@ def describe_controller(path: Path, rig: Rig) -> list[str]:
         tuned = "not tuned" if bounds is None else f"{bounds[0]:.4g} .. {bounds[1]:.4g}"
         rows.append((f"  {name}", f"{float(gain(loop, name)):.4g}", content.units.get(name, ""), tuned))
     lines += table([("  gain", "start", "unit", "searched"), *rows])
+    lines.append(f"  Objective: {_objective_text(content)}. Limits: {_limits_text(content.limits)}.")
     return [*lines, *(f"  Note: {note}" for note in content.notes)]
+
+
+def _objective_text(content: ControllerFile) -> str:
+    """The terms of the objective with their weights."""
+    terms = [f"{weight:g} {name}" for name, weight in content.weights.items()]
+    return " + ".join(["settling"] if content.settle else terms)
+
+
+def _limits_text(limits: Mapping[str, float]) -> str:
+    shares = {name: f"{100.0 * value:g} %" for name, value in limits.items() if LIMIT_UNITS[name] == "1"}
+    texts = {name: shares.get(name) or as_text(value, LIMIT_UNITS[name]) for name, value in limits.items()}
+    return ", ".join(f"{name} at most {text}" for name, text in texts.items()) or "none"
 
 
 def describe_sweep(path: Path) -> list[str]:
@@ -65,11 +83,14 @@ def describe_sweep(path: Path) -> list[str]:
         rows.append((f"  {axis.name}", ends))
     lines += table([("  parameter", "range or values"), *rows])
     goals = [f"{metric} ({goal})" for metric, goal in content.objectives.items()]
-    limits = []
-    units = content.subject.units
+    limits, units = [], content.problem().units
     for metric, (low, high) in content.constraints.items():
-        limits += [f"{metric} at least {as_text(low, units[metric])}"] if math.isfinite(low) else []
-        limits += [f"{metric} at most {as_text(high, units[metric])}"] if math.isfinite(high) else []
+        bounds = [(words, bound) for words, bound in (("at least", low), ("at most", high)) if math.isfinite(bound)]
+        written = content.constraint_units[metric]
+        limits += [f"{metric} {words} {format_in_unit(bound, units[metric], written)}" for words, bound in bounds]
     lines.append(f"  Metrics: {', '.join(content.metrics)}.")
     lines.append(f"  Objectives: {', '.join(goals) or 'none'}. Constraints: {', '.join(limits) or 'none'}.")
+    if content.limits:
+        words = ", ".join(limit.in_words() for limit in content.limits)
+        lines.append(f"  Limits of the material ({content.limits[0].parameter_set}): {words}.")
     return lines

@@ -32,6 +32,8 @@ OBJECTIVES = (*(term for term in TERMS if term != "overshoot"), "settling")
 # Weight of the effort in addition to a named objective: without it, the command follows the noise of a real sensor.
 # Chosen by trial.
 _DEFAULT_EFFORT_WEIGHT = {"effort": 0.01}
+# Internal units of the keys of [limits].
+LIMIT_UNITS = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
 # Weight of the overshoot in addition to tracking or ITAE without a limit on overshoot: without it, the error falls at
 # the price of the overshoot. Chosen by trial; tests/unit/control/test_case_check.py holds it.
 _DEFAULT_OVERSHOOT_WEIGHT = {"overshoot": 1.0}
@@ -205,12 +207,16 @@ def read_limits(data: Any, rest_temperature: float) -> dict[str, float]:
         InputError: for a wrong key or quantity, or a limit that cannot be kept.
     """
     section = validate(LimitsSection, data, "limits")
-    units = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
     limits = {
-        key: quantity_at(value, units[key], f"limits.{key}")
+        key: quantity_at(value, LIMIT_UNITS[key], f"limits.{key}")
         for key, value in section.model_dump().items()
         if value is not None
     }
+    if isinstance(section.overshoot, int | float) and section.overshoot > 1.0:
+        raise InputError(
+            f"limits.overshoot = {show(section.overshoot)} is {100.0 * section.overshoot:g} % of a step: write it with "
+            f'its unit, like "{section.overshoot:g} %"'
+        )
     for key, value in limits.items():
         if key != "temperature" and not (value > 0.0 or (key == "overshoot" and value == 0.0)):
             least = "0 or more" if key == "overshoot" else "one above 0"

@@ -941,6 +941,7 @@ BAD = {
         STEP.replace("high", "level"),
     ): "reference.level is not known: the keys of a step are duration, low, high, at",
     ("[tune]", '[limits]\ncurrent = "-1 A"\n[tune]'): "limits.current = '-1 A' is not possible",
+    ("[tune]", "[limits]\novershoot = 5\n[tune]"): "limits.overshoot = 5 is 500 % of a step",
     ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { ki = ["1 A/m/s", "50 A/m/s"] }'): "tune.bounds.ki: ki is not tuned",
     ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { kp = ["30 A/m", "30 A/m"] }'): "tune.bounds.kp: both are equal",
     ("[tune]", "[tune]\nobjective = { tracking = 0 }"): "nothing would be minimised",
