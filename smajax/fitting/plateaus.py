@@ -74,11 +74,8 @@ def find_plateaus(values: np.ndarray) -> Plateaus:
         return none
     ends = _level_changes(values, noise)
     parts = _without_ramps(values, list(itertools.pairwise(ends)))
-    slopes = np.array([_slope(values[a:b], noise) for a, b in parts])
-    parts = [part for part, slope in zip(parts, slopes, strict=True) if abs(slope) < _MAX_SLOPE]
-    slopes = slopes[np.abs(slopes) < _MAX_SLOPE]
-    covered = sum(end - first for first, end in parts)
-    if covered < _MIN_COVER * len(values) or np.sum(slopes**2) > scipy.special.chdtri(len(parts), _SLOPE_PROBABILITY):
+    parts = _without_slopes(values, parts, noise)
+    if sum(end - first for first, end in parts) < _MIN_COVER * len(values):
         return none
     means = values.copy()
     for first, end in parts:
@@ -148,6 +145,18 @@ def _without_ramps(values: np.ndarray, parts: list[tuple[int, int]]) -> list[tup
         if np.sum((around - line) ** 2) < step:
             kept[k] = kept[k + 1] = False
     return [part for part, keep in zip(parts, kept, strict=True) if keep]
+
+
+def _without_slopes(values: np.ndarray, parts: list[tuple[int, int]], noise: float) -> list[tuple[int, int]]:
+    """The parts without a slope of their own, and together without more slope than white noise has.
+
+    The shortest parts are left out until that holds: a ramp breaks into parts that are shorter than plateaus next to it.
+    """
+    slopes = {part: _slope(values[slice(*part)], noise) for part in parts}
+    kept = sorted((part for part in parts if abs(slopes[part]) < _MAX_SLOPE), key=lambda part: part[0] - part[1])
+    while kept and sum(slopes[part] ** 2 for part in kept) > scipy.special.chdtri(len(kept), _SLOPE_PROBABILITY):
+        kept.pop()
+    return sorted(kept)
 
 
 def _slope(values: np.ndarray, noise: float) -> float:

@@ -88,6 +88,16 @@ def test_plateaus_of_a_noisy_command_are_found_and_nothing_else_is_one():
     assert len(find_plateaus(levels).parts) == 0  # without noise there is nothing to correct
 
 
+def test_ramps_between_plateaus_hide_none_of_them():
+    """The ramps of one half of a recording break into short parts, which have slopes together."""
+    random = np.random.default_rng(50)
+    ramps = np.interp(np.arange(1500) / 150.0, np.arange(11), random.uniform(0.0, 0.55, 11))
+    levels = np.repeat(random.uniform(0.1, 0.55, 10), 150)
+    found = find_plateaus(np.concatenate([ramps, levels]) + 1e-3 * random.standard_normal(3000))
+    long = [(first, end) for first, end in found.parts.tolist() if end - first > 100]
+    assert long == [(1500 + 150 * k, 1650 + 150 * k) for k in range(10)]
+
+
 def test_noise_on_ramps_between_plateaus_stays():
     values = np.clip(np.abs(np.arange(1500) / 25.0 % 20.0 - 10.0) * 0.1 - 0.2, 0.0, 0.4)
     noisy = values + 0.001 * np.random.default_rng(0).standard_normal(1500)
