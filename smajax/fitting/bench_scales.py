@@ -25,9 +25,16 @@ _MOVES = 20.0
 _FITS = 0.6
 # Share of the variance that the present scale leaves, over that of another one, from which the other one is right.
 _BETTER = 2.5
-_TIME_FACTORS = (1e-3, 1e3)
+_TIME_FACTORS = (1e-6, 1e-3, 1e3, 1e6)
 _INPUT_FACTORS = (0.1, 1e-3, 10.0, 1e3)
-_WORDS = {0.1: "a tenth", 1e-3: "a thousandth", 10.0: "ten times", 1e3: "a thousand times"}
+_WORDS = {
+    1e-6: "a millionth",
+    1e-3: "a thousandth",
+    0.1: "a tenth",
+    10.0: "ten times",
+    1e3: "a thousand times",
+    1e6: "a million times",
+}
 
 
 class ScaleDoubt(NamedTuple):
@@ -86,7 +93,7 @@ def scale_doubt(
 
 
 def _slow_clock(plant: Plant, recording: Recording, channels: Sequence[str], correlation: float) -> ScaleDoubt | None:
-    """A clock in ms that was read as s: rows far apart for the wire, whose motion still lags behind its input."""
+    """A clock in ms or us that was read as s: rows far apart for the wire, whose motion still lags behind its input."""
     spacing, settling = float(np.median(np.diff(recording.time))), float(time_constant(plant))
     if spacing < SETTLED * settling:
         return None

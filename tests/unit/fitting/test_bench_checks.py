@@ -55,6 +55,14 @@ SPOILED = {
         {"time": lambda v: 1e3 * v},
         ["the rows are 20 s apart", "a thousandth of the time", "check the unit of time, which is read as s"],
     ),
+    "clock-in-us": (
+        {"time": lambda v: 1e6 * v},
+        ["the rows are 2e+04 s apart", "a millionth of the time", "check the unit of time, which is read as s"],
+    ),
+    "clock-in-s-as-us": (
+        {"time": lambda v: 1e-6 * v},
+        ["current heats the wire by", "a million times the time", "check the unit of time, which is read as s"],
+    ),
     "clock-in-s-as-ms": (
         {"time": lambda v: 1e-3 * v},
         ["current heats the wire by", "a thousand times the time", "check the unit of time, which is read as s"],
