@@ -150,7 +150,7 @@ def _without_ramps(values: np.ndarray, parts: list[tuple[int, int]]) -> list[tup
 def _without_slopes(values: np.ndarray, parts: list[tuple[int, int]], noise: float) -> list[tuple[int, int]]:
     """The parts without a slope of their own, and together without more slope than white noise has.
 
-    The shortest parts are left out until that holds: a ramp breaks into parts that are shorter than plateaus next to it.
+    The shortest parts are left out until that holds: a ramp breaks into shorter parts than the plateaus next to it.
     """
     slopes = {part: _slope(values[slice(*part)], noise) for part in parts}
     kept = sorted((part for part in parts if abs(slopes[part]) < _MAX_SLOPE), key=lambda part: part[0] - part[1])

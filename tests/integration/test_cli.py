@@ -797,6 +797,10 @@ def test_effects_and_sets_are_listed_with_units_sizes_and_sources():
     assert all(f"\n{name}: " in f"\n{sets}" for name in shipped_sets())
     values = smajax("sets", "flexinol").stdout
     assert re.search(r"^heat.capacity +5.40123 MJ/m\^3/K +- +Dynalloy F1140", values, re.MULTILINE)
+    stock = smajax("sets", "smartflex").stdout
+    assert re.search(r"^stress +153 MPa for 1,000,000 cycles +saes_smartflex", stock, re.MULTILINE)
+    assert re.search(r"^strain +3.5 % +saes_smartflex", stock, re.MULTILINE)
+    assert "Stock diameters of SmartFlex: 0.025 mm, " in stock
     assert "did you mean 'flexinol'" in sentence(smajax("sets", "flexinoll"), 2)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from smajax.errors import InputError, suggestion
+from smajax.files.material_limits import LIMIT_UNITS, Limit, read_catalogue, read_limits
 from smajax.files.parameter_sets import Entry, find_set, read_header, read_parameters, shipped_sets
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
@@ -66,9 +67,29 @@ def sets_text(name: str | None = None) -> str:
     header = read_header(path)
     lines = [f"{name}: {header.get('title', '')}", *wrap(str(header.get("source", "")), _WIDTH), ""]
     rows = [(key, as_text(e.value, e.unit), _range_text(e), e.source) for key, e in read_parameters(path).items()]
-    lines += table([("parameter", "value", "bounds", "source"), *rows])
+    lines += table([("parameter", "value", "bounds", "source"), *rows]) if rows else ["It has no parameters."]
+    lines += _limit_lines(path, name)
     use = name if Path(name).suffix == ".toml" else path.stem
     return "\n".join(line.rstrip() for line in [*lines, "", f'In a rig file: [rig] parameters = "{use}"'])
+
+
+def _limit_lines(path: Path, name: str) -> list[str]:
+    """Lines on the limits and the stock diameters of a parameter set; none for a set without them."""
+    limits, stock, lines = read_limits(path, name), read_catalogue(path, name), []
+    if limits is not None:
+        entries = [("stress", limit) for limit in limits.stress]
+        entries += [(key, limit) for key in ("temperature", "strain") if (limit := getattr(limits, key)) is not None]
+        rows = [(key, _limit_text(key, limit), limit.source) for key, limit in entries]
+        lines += ["", *table([("limit in a sweep", "at most", "source"), *rows])]
+    if stock is not None:
+        sizes = ", ".join(as_text(size, "m") for size in stock.diameters)
+        lines += ["", *wrap(f"Stock diameters of {stock.wire}: {sizes} ({stock.source})", _WIDTH)]
+    return lines
+
+
+def _limit_text(key: str, limit: Limit) -> str:
+    size = f"{100.0 * limit.value:g} %" if key == "strain" else as_text(limit.value, LIMIT_UNITS[key])
+    return size + (f" for {limit.cycles:,.0f} cycles" if limit.cycles else "")
 
 
 def effect_lines(key: str, effect: type[AbstractEffect]) -> list[str]:
