@@ -186,7 +186,7 @@ def rows_of(results: list[dict[str, Any]]) -> list[Row]:
             f">= {LEAST} of {DRAWS}",
             result["words"],
             None if result["kept"] is None else result["kept"] >= LEAST,
-            result,
+            {key: value for key, value in result.items() if key not in ("task", "words")},
         )
         for result in results
     ]

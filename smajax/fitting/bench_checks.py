@@ -6,7 +6,7 @@ ten, so that it holds where they are only near those of the wire.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -39,6 +39,9 @@ _POWER_TOLERANCE = 0.2
 _LARGE_FACTOR = 5.0
 # Correlation from which the shape of a recording is the model's, so that their ratio says something.
 _SAME_SHAPE = 0.8
+# K. Distance of a temperature at rest from the rig's from which its unit is in doubt, and distance within which another
+# unit explains it: that of a room over a year.
+_FAR_AT_REST, _NEAR_AT_REST = 20.0, 8.0
 # Channels whose value is 0 as installed, by definition of the rig's coordinate.
 _ZERO_AS_INSTALLED = ("displacement", "angle")
 # Smallest last digit of an offset in the unit of its column; chosen so that the text stays short.
@@ -106,6 +109,8 @@ def bench_findings(plant: Plant, recordings: Sequence[Recording], settings: Sett
         for channel in settings.observe:
             if channel_of(channel) in MECHANICAL:
                 found += _channel_findings(plant, recording, response, channel, settings)
+            elif channel_of(channel) == "temperature":
+                found += _thermometer_findings(recording, response, channel)
     return _joined(found)
 
 
@@ -190,6 +195,38 @@ def _factor(measured: np.ndarray, model: np.ndarray) -> float | None:
     return 10.0**power if abs(power) > math.log10(_LARGE_FACTOR) else None
 
 
+# Temperatures in degC whose numbers are those of another unit, by what the unit is.
+_THERMOMETERS: Mapping[str, Callable[[float], float]] = {
+    "degF": lambda value: (value - 32.0) / 1.8,
+    "K": lambda value: value - 273.15,
+}
+
+
+def _thermometer_findings(recording: Recording, response: BenchResponse, channel: str) -> list[BenchFinding]:
+    """A temperature that begins far from the rig's, where another unit would begin near it."""
+    first = _first_rows(recording.channels[channel], response.channels[channel])
+    if first is None or abs(first[0] - first[1]) < _FAR_AT_REST:
+        return []
+    unit = recording.units.get(channel, channel_unit(channel))
+    number = float((first[0] - conversion(unit, "degC")[1]) / conversion(unit, "degC")[0])
+    for other, in_celsius in _THERMOMETERS.items():
+        if other != unit and abs(in_celsius(number) - first[1]) <= _NEAR_AT_REST:
+            text = f"{channel} begins at {number:.1f} {unit} where the rig is at {first[1]:.1f} degC, as in {other}"
+            remedy = f"check its unit, which is read as {unit}"
+            return [BenchFinding("unit", channel, (recording.name,), text, remedy)]
+    return []
+
+
+def _first_rows(measured: np.ndarray, model: np.ndarray) -> tuple[float, float] | None:
+    """Median of a channel while its model is at rest, and the model there; ``None`` where either is not finite."""
+    moved = np.abs(model - model[0]) > _AT_REST * np.ptp(model)
+    rest = int(np.argmax(moved)) if np.any(moved) else len(model)
+    first = measured[: max(rest, 1)]
+    return (
+        (float(np.nanmedian(first)), float(model[0])) if np.any(np.isfinite(first)) and np.isfinite(model[0]) else None
+    )
+
+
 def _offset(plant: Plant, recording: Recording, response: BenchResponse, channel: str, sign: float) -> float | None:
     """Offset of a channel that is 0 as installed, internal unit; ``None`` where the recording shows none.
 
@@ -199,12 +236,10 @@ def _offset(plant: Plant, recording: Recording, response: BenchResponse, channel
     if channel_of(channel) not in _ZERO_AS_INSTALLED or channel.rpartition("_")[2].isdigit():
         return None
     measured, model = sign * recording.channels[channel], response.channels[channel]
-    moved = np.abs(model - model[0]) > _AT_REST * np.ptp(model)
-    rest = int(np.argmax(moved)) if np.any(moved) else len(model)
-    first = measured[: max(rest, 1)]
-    if not np.any(np.isfinite(first)) or not np.isfinite(model[0]):
+    first = _first_rows(measured, model)
+    if first is None:
         return None
-    offset = float(np.nanmedian(first) - model[0])
+    offset = first[0] - first[1]
     quantiles = (_LOW,) if plant.mechanism.wires == 1 else (_LOW, _HIGH)
     others = [float(np.nanquantile(measured, q) - np.nanquantile(model, q)) for q in quantiles]
     least = min(abs(value) for value in (offset, *others))

@@ -25,13 +25,17 @@ _MOVES = 20.0
 _FITS = 0.6
 # Share of the variance that the present scale leaves, over that of another one, from which the other one is right.
 _BETTER = 2.5
-_TIME_FACTORS = (1e-6, 1e-3, 1e3, 1e6)
+_TIME_FACTORS = (1e-6, 1e-3, 1.0 / 60.0, 60.0, 1e3, 1e6)
+# Correlation below which clocks in minutes and in s are tried for one another, and from which one is right.
+_POOR, _GOOD = 0.8, 0.9
 _INPUT_FACTORS = (0.1, 1e-3, 10.0, 1e3)
 _WORDS = {
     1e-6: "a millionth",
     1e-3: "a thousandth",
+    1.0 / 60.0: "a sixtieth",
     0.1: "a tenth",
     10.0: "ten times",
+    60.0: "sixty times",
     1e3: "a thousand times",
     1e6: "a million times",
 }
@@ -89,7 +93,8 @@ def scale_doubt(
         code, channel = ("clock", "time") if best is not None and best.code == "clock" else ("input", name)
         text = f"{heats}, while {channels[0]} moves by {_range_text(recording, channels[0])}"
         return ScaleDoubt(code, channel, text, _remedy(plant, recording, name, best))
-    return _slow_clock(plant, recording, channels, correlation)
+    slow = _slow_clock(plant, recording, channels, correlation)
+    return slow or _clock_in_minutes(plant, recording, channels, correlation)
 
 
 def _slow_clock(plant: Plant, recording: Recording, channels: Sequence[str], correlation: float) -> ScaleDoubt | None:
@@ -102,8 +107,21 @@ def _slow_clock(plant: Plant, recording: Recording, channels: Sequence[str], cor
         return None
     text = (
         f"the rows are {spacing:.3g} s apart, {spacing / settling:.0f} time constants of the wire, and {channels[0]} "
-        f"follows the rig's values only with {_WORDS[best.factor]} of the time"
+        f"follows the rig's values only with {_amount(best.factor)} the time"
     )
+    return ScaleDoubt("clock", "time", text, f"check the unit of {_unit_read(recording, 'time')}")
+
+
+def _clock_in_minutes(
+    plant: Plant, recording: Recording, channels: Sequence[str], correlation: float
+) -> ScaleDoubt | None:
+    """A clock in minutes that was read as s, or the reverse: the rig moves, but not as the recording does."""
+    if correlation >= _POOR:
+        return None
+    best = _best(plant, recording, channels, clocks=(1.0 / 60.0, 60.0), inputs=())
+    if best is None or best.correlation < _GOOD or (1.0 - correlation**2) < _BETTER * (1.0 - best.correlation**2):
+        return None
+    text = f"{channels[0]} follows the rig's values only with {_amount(best.factor)} the time"
     return ScaleDoubt("clock", "time", text, f"check the unit of {_unit_read(recording, 'time')}")
 
 
@@ -166,8 +184,12 @@ def _remedy(plant: Plant, recording: Recording, name: str, best: _Scale | None) 
     if best is None:
         return f"check the units of {control} and time, and wire and heat of the rig"
     channel, what = ("time", "time") if best.code == "clock" else (name, control)
-    amount = f"{_WORDS[best.factor]}{' of' if best.factor < 1 else ''} the {what}"
+    amount = f"{_amount(best.factor)} the {what}"
     return f"the rig follows the recording with {amount}: check the unit of {_unit_read(recording, channel)}"
+
+
+def _amount(factor: float) -> str:
+    return f"{_WORDS[factor]}{' of' if factor < 1 else ''}"
 
 
 def _unit_read(recording: Recording, channel: str) -> str:

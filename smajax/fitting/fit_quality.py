@@ -15,6 +15,9 @@ _FAR_WITH_FINDINGS = 10.0
 # Least share of the channel's range of such a residual: a recording almost without noise is far above its noise with a
 # good model, too.
 _MIN_RANGE_SHARE = 0.02
+# Share of the channel's range from which a residual that far above the noise explains nothing, wherever the parameters
+# are: a constant leaves a third of the range of a loop.
+_LARGE_RANGE_SHARE = 0.2
 # Parameters at bounds from which the search was pushed out of what the rig allows.
 _SEVERAL = 2
 
@@ -22,8 +25,8 @@ _SEVERAL = 2
 def unusable_reason(result: FitResult, findings: Sequence[BenchFinding]) -> str:
     """Say why a fit is a failure although its search ended.
 
-    It is one if its residual is 100 times the noise and several parameters are at their bounds, or 10 times the noise
-    and a recording contradicts the rig.
+    It is one if its residual is 100 times the noise and several parameters are at their bounds or it is a fifth of the
+    range, or 10 times the noise and a recording contradicts the rig.
 
     Args:
         result: The fit.
@@ -33,15 +36,16 @@ def unusable_reason(result: FitResult, findings: Sequence[BenchFinding]) -> str:
         A sentence without its full stop; empty for a fit that is none.
     """
     train = [response for response in result.responses if response.role == "train"]
-    far, ratios = _FAR_WITH_FINDINGS if findings else _FAR_FROM_NOISE, {}
+    far, ratios, large = _FAR_WITH_FINDINGS if findings else _FAR_FROM_NOISE, {}, False
     for channel, floor in result.noise_floor.items():
         rmse = result.rmse(channel, "train")
         measured = np.concatenate([response.recording.channels[channel] for response in train])
         extent = float(np.nanmax(measured) - np.nanmin(measured))
         if rmse is not None and floor > 0.0 and rmse >= max(far * floor, _MIN_RANGE_SHARE * extent):
             ratios[channel] = rmse / floor
+            large |= rmse >= _LARGE_RANGE_SHARE * extent
     at_bound = [estimate.name for estimate in result.estimates if estimate.at_bound]
-    if not ratios or (len(at_bound) < _SEVERAL and not findings):
+    if not ratios or (len(at_bound) < _SEVERAL and not findings and not large):
         return ""
     channel, ratio = max(ratios.items(), key=lambda item: item[1])
     residual = f"the fit failed: the residual of {channel} is {ratio:.0f} times its noise floor"

@@ -81,6 +81,8 @@ class ControllerFile(TuningTask):
         feedforward: Section [feedforward]; ``None`` if there is none.
         seed: Seed of all random numbers.
         robust: Section [robust]; ``None`` if there is none.
+        case_fit: Folder of the fit that the rig belongs to, from whose intervals cases are drawn without [robust];
+            ``None`` if there is none.
         check: Number of draws of the noise on which the gains are judged; 1 for the rollout of the file only.
         prefers_margins: Whether gains with usual margins are preferred: with an objective that is a word other than
             settling.
@@ -93,6 +95,7 @@ class ControllerFile(TuningTask):
     feedforward: Feedforward | None = None
     seed: int = 0
     robust: Robust | None = None
+    case_fit: Path | None = None
     check: int = NOISE_CASES
     prefers_margins: bool = False
     place: str = "controller"

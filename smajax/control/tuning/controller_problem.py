@@ -1,6 +1,8 @@
 """The tuning problem of a controller file, whose members differ in parameters, noise and ambient temperature."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +26,38 @@ from smajax.files.rig_file import Rig
 _DRAWS_STREAM = 7
 
 
+# Name of the fitted rig in the folder of a fit.
+_FITTED_RIG = "rig-fitted.toml"
+
+
+def with_fit_of_rig(rig: Rig, settings: ControllerFile) -> ControllerFile:
+    """Let cases vary what the fit of a fitted rig leaves open, where the controller file has no section [robust].
+
+    Args:
+        rig: The rig; it belongs to a fit if its file is rig-fitted.toml in the folder of one.
+        settings: The content of a controller file.
+
+    Returns:
+        The settings with the folder of the fit and a note that says so, or why the fit cannot be used.
+    """
+    is_fitted = rig.path is not None and rig.path.name == _FITTED_RIG and (rig.path.parent / "fit.json").is_file()
+    if settings.robust is not None or settings.check == 1 or rig.path is None or not is_fitted:
+        return settings
+    folder = rig.path.parent
+    try:
+        _draw_from_fit(rig, folder, 1, np.random.default_rng(0))
+    except InputError as error:
+        note = f"Cases do not vary the parameters of the fit in {folder}: {error}"
+        return replace(settings, notes=(*settings.notes, note))
+    note = f"Cases vary the parameters within the intervals of the fit in {folder}, to which the rig belongs"
+    return replace(settings, case_fit=folder, notes=(*settings.notes, note))
+
+
+def _draw_from_fit(rig: Rig, folder: Path, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Draw parameters from the intervals of the fit in a folder."""
+    return draw_from_fit(read_json(folder, "fit.json"), list(parameters.all_declarations(rig.plant)), count, rng)
+
+
 def draw_parameters(
     rig: Rig, settings: ControllerFile, seed: int, repeat: int | None = None
 ) -> dict[str, Float[np.ndarray, " draws"]]:
@@ -36,21 +70,22 @@ def draw_parameters(
         repeat: Number of a check on cases, each of which has its own draws; ``None`` for those of the search.
 
     Returns:
-        Samples by name, internal units, shape ``(count,)`` each; empty without [robust].
+        Samples by name, internal units, shape ``(count,)`` each; empty without [robust] and without a fit of the rig.
 
     Raises:
         InputError: if the folder of the fit has no fit, or one without intervals.
     """
     robust = settings.robust
-    if robust is None:
-        return {}
-    count = max(robust.draws, robust.check) if repeat is None else DRAWN_CASES
     rng = np.random.default_rng([seed, _DRAWS_STREAM, *(() if repeat is None else (1 + repeat,))])
+    if robust is None:
+        if settings.case_fit is None or repeat is None:
+            return {}
+        return _draw_from_fit(rig, settings.case_fit, DRAWN_CASES, rng)
+    count = max(robust.draws, robust.check) if repeat is None else DRAWN_CASES
     draws: dict[str, np.ndarray] = {}
     if robust.fit is not None:
-        names = list(parameters.all_declarations(rig.plant))
         try:
-            draws = draw_from_fit(read_json(robust.fit, "fit.json"), names, count, rng)
+            draws = _draw_from_fit(rig, robust.fit, count, rng)
         except InputError as error:
             raise InputError(f"{settings.place}: robust.fit: {error}") from None
     return draws | draw_from_ranges(robust.vary, count, rng)

@@ -25,7 +25,7 @@ from smajax.control.analysis.reachable_range import ReachableRange, clip_referen
 from smajax.control.controller_file.read import ControllerFile
 from smajax.control.loop.gains import gain, gains
 from smajax.control.tuning.case_retuning import JudgedGains, judge_gains
-from smajax.control.tuning.controller_problem import draw_parameters, tuning_problem
+from smajax.control.tuning.controller_problem import draw_parameters, tuning_problem, with_fit_of_rig
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward, identify_feedforward, with_inverse
 from smajax.control.tuning.margin_backoff import reduce_loop_gain
 from smajax.control.tuning.problem import TuningProblem, has_noise
@@ -162,6 +162,7 @@ def tune_controller(
         NumericsError: if no gains have a finite cost.
     """
     progress, seed = progress or Reporter(), settings.seed if seed is None else seed
+    settings = with_fit_of_rig(rig, settings)
     timer, draws = _Timer(progress), draw_parameters(rig, settings, seed)
     settings, identified = _with_feedforward(settings, timer)
     file_weights = settings.weights

@@ -29,6 +29,7 @@ from smajax.control.loop.rollout import Scenario
 from smajax.control.sampled_plant import SampledPlant
 from smajax.control.tuning import case_retuning, retuning
 from smajax.control.tuning.case_retuning import JudgedGains
+from smajax.control.tuning.controller_problem import draw_parameters, with_fit_of_rig
 from smajax.control.tuning.feedforward_identification import Feedforward, identify_feedforward
 from smajax.control.tuning.minimise_settling_time import longest_settling
 from smajax.control.tuning.objective import TERMS, make_objective
@@ -560,6 +561,34 @@ def test_start_gains_that_fail_on_fewer_draws_are_kept_and_judged(tmp_path, monk
     assert judged == [(own, {"drawn"})] and not study.case_checks
     assert {name: study.gains[name] for name in own} == own
     assert study.checks["tuned"].failing == (1,) and study.checks["tuned"].document["draws"] == 64
+
+
+def test_cases_vary_what_the_fit_of_a_fitted_rig_leaves_open(tmp_path):
+    """Without [robust]; a section of one's own, another name of the file, and a fit without intervals change that."""
+    entry = {"estimate": 80.0, "lower95": 78.0, "upper95": 82.0, "at_bound": False, "bounds": [None, None]}
+    correlations = {"parameters": ["heat.h0"], "matrix": [[1.0]]}
+    document = {"schema": "smajax.fit/1", "parameters": {"heat.h0": entry}, "correlations": correlations}
+    fitted = tmp_path / "rig-fitted.toml"
+    for path in (fitted, tmp_path / "rig.toml"):
+        path.write_bytes(RIG.read_bytes())
+    (tmp_path / "c.toml").write_text(FILE)
+    assert with_fit_of_rig(read_rig(fitted), read_controller(tmp_path / "c.toml", read_rig(fitted))).case_fit is None
+    (tmp_path / "fit.json").write_text(json.dumps(document))
+    rig = read_rig(fitted)
+    settings = with_fit_of_rig(rig, read_controller(tmp_path / "c.toml", rig))
+    assert settings.case_fit == tmp_path and "Cases vary the parameters within the intervals" in settings.notes[-1]
+    assert draw_parameters(rig, settings, 0) == {}  # the search does not
+    first, second = (draw_parameters(rig, settings, 0, repeat)["heat.h0"] for repeat in (0, 1))
+    assert first.shape == (64,) and 0.5 < first.std() < 1.6 and not np.any(first == second)
+    other = read_rig(tmp_path / "rig.toml")
+    assert with_fit_of_rig(other, read_controller(tmp_path / "c.toml", other)).case_fit is None
+    document["parameters"]["heat.h0"]["lower95"] = None
+    (tmp_path / "fit.json").write_text(json.dumps(document))
+    settings = with_fit_of_rig(rig, read_controller(tmp_path / "c.toml", rig))
+    assert settings.case_fit is None and "the fit gives no parameter an interval" in settings.notes[-1]
+    (tmp_path / "c.toml").write_text(FILE + '[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n')
+    settings = with_fit_of_rig(rig, read_controller(tmp_path / "c.toml", rig))
+    assert settings.case_fit is None and not settings.notes
 
 
 def test_a_population_finds_gains_that_keep_all_limits(monkeypatch):

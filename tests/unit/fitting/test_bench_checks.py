@@ -67,6 +67,14 @@ SPOILED = {
         {"time": lambda v: 1e-3 * v},
         ["current heats the wire by", "a thousand times the time", "check the unit of time, which is read as s"],
     ),
+    "clock-in-minutes": (
+        {"time": lambda v: v / 60.0},
+        ["displacement follows the rig's values only with sixty times the time", "check the unit of time, which is"],
+    ),
+    "clock-in-s-as-minutes": (
+        {"time": lambda v: 60.0 * v},
+        ["a sixtieth of the time", "check the unit of time, which is read as s"],
+    ),
     "motion-ten-times": (
         {"displacement": lambda v: 10.0 * v},
         ["displacement is 10 times what the rig's values give: check its unit, which is read as mm"],
@@ -95,6 +103,23 @@ def test_a_spoiled_recording_gets_the_sentence_on_its_fault(rig, recording, name
     assert findings[0].sentence.startswith("train.csv: ")
     for word in words:
         assert word in findings[0].sentence
+
+
+@pytest.mark.parametrize(("unit", "value"), [("degF", 1.8 * 20.0 + 32.0), ("K", 293.15)])
+def test_a_thermometer_of_another_unit_is_found(rig, recording, unit, value):
+    """It begins at 20 degC, the ambient temperature, in its own unit; a room of 12 degC is no other unit."""
+    settings = dataclasses.replace(rig.fit, observe=("temperature",))
+
+    def measured(first):
+        channels = recording.channels | {"temperature": np.full(len(recording), first)}
+        return dataclasses.replace(recording, channels=channels, units=recording.units | {"temperature": "degC"})
+
+    (found,) = bench_findings(rig.plant, [measured(value)], settings)
+    assert found.sentence == (
+        f"train.csv: temperature begins at {value:.1f} degC where the rig is at 20.0 degC, as in {unit}: check its unit, "
+        "which is read as degC."
+    )
+    assert not bench_findings(rig.plant, [measured(12.0)], settings)
 
 
 def test_a_clock_in_ms_is_found_where_the_values_of_the_rig_are_rough(rig, recording):
