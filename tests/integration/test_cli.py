@@ -457,6 +457,7 @@ def test_a_command_that_gets_no_memory_says_so(end, code, words):
     program = (
         "import os, resource, signal, sys, time\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a background process ignores it
         "import smajax.app.cli\n"
         "from smajax.__main__ import main\n"
         f"smajax.app.cli.app = lambda: exec({end!r})\n"
