@@ -3,7 +3,7 @@
     python experiments/speed/allocator.py [--quick] [--json FILE] [--out DIR]
 
 A population of gains of the shipped wire's controller is evaluated again and again, in processes of their own: batches
-in one thread or in one per core, with the allocator as the system sets it and as ``prepare_jax`` does
+in one thread or in one per core, with the allocator as the system sets it and as ``smajax tune`` does
 (``keep_freed_memory``). Times are per population, after one to warm up; all processes give the same numbers.
 """
 
@@ -26,8 +26,8 @@ import json, resource, sys, time
 sys.path.insert(0, sys.argv[1])
 repeats, workers, keeps = (int(word) for word in sys.argv[2:5])
 from smajax.numerics import process
-if not keeps:
-    process.keep_freed_memory = lambda: None
+if keeps:
+    process.keep_freed_memory()
 process.prepare_jax()
 from pathlib import Path
 import jax.numpy as jnp, numpy as np

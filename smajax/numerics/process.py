@@ -10,8 +10,7 @@ from pathlib import Path
 # allocates many small objects, none of which is garbage. Chosen by trial.
 _GARBAGE_THRESHOLD = 200_000
 # Parameters of mallopt(3) of the GNU C library with their values: up to 512 MiB that are freed at the end of the heap
-# are kept, and all threads share one heap, also for large arrays. A program gets the arrays of each batch from the
-# system anew otherwise, which clears all of their pages. Chosen by experiments/speed/allocator.py.
+# are kept, and all threads share one heap, also for large arrays. Chosen by experiments/speed/allocator.py.
 _KEEP_FREED_MEMORY = {-1: 512 * 2**20, -4: 0, -8: 1}  # M_TRIM_THRESHOLD, M_MMAP_MAX, M_ARENA_MAX
 STORED_PROGRAMS = "SMAJAX_STORED_PROGRAMS"
 """Environment variable: whether traced programs are kept between processes, ``on`` or ``off``."""
@@ -24,11 +23,10 @@ def prepare_jax(accelerator: bool = False) -> None:
     any case. The rest makes programs faster and changes no result; from Python call it before anything is compiled.
     Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``, and so are
     traced ones, unless ``SMAJAX_STORED_PROGRAMS`` is ``off``. If no folder can be written, nothing is cached, and
-    everything else works. Freed memory is kept for the next call (``keep_freed_memory``). A GPU is many times as slow
-    for a few simulations at a time, and faster for thousands of designs in parallel. Equinox's run-time checks are
-    switched off: they call Python from the compiled program, which then cannot be cached. smajax's simulations have
-    status codes instead. Where equinox was imported before, its checks stay; where JAX has compiled something before,
-    its compiler options stay.
+    everything else works. A GPU is many times as slow for a few simulations at a time, and faster for thousands of
+    designs in parallel. Equinox's run-time checks are switched off: they call Python from the compiled program, which
+    then cannot be cached. smajax's simulations have status codes instead. Where equinox was imported before, its checks
+    stay; where JAX has compiled something before, its compiler options stay.
 
     Args:
         accelerator: Whether JAX may use an accelerator, as for a sweep; otherwise it uses the CPU, unless
@@ -36,7 +34,6 @@ def prepare_jax(accelerator: bool = False) -> None:
     """
     os.environ.setdefault("EQX_ON_ERROR", "off")
     gc.set_threshold(_GARBAGE_THRESHOLD, 20, 50)
-    keep_freed_memory()
     import jax
 
     from smajax.numerics.jax_setup import set_compiler_options
@@ -56,7 +53,11 @@ def prepare_jax(accelerator: bool = False) -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let the allocator keep what is freed for the next call of a program; GNU C library only, else nothing changes."""
+    """Let the allocator keep what is freed for the next call of a program; GNU C library only, else nothing changes.
+
+    For processes that run batch after batch: the system would clear all pages of their arrays for each. Compilations in
+    several threads take longer with one heap, so that other processes do not call it.
+    """
     try:
         library = ctypes.CDLL(None)
     except (OSError, TypeError):  # Windows

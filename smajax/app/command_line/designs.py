@@ -24,7 +24,7 @@ def tune(
 ) -> None:
     """Tune a controller's gains in its closed loop with the rig; write them for a microcontroller."""
     check_files(toml={"rig": rig, "controller": controller}, out=out)
-    with start_run(quiet, address_space=MANY_PROGRAMS, page="tune") as progress:
+    with start_run(quiet, address_space=MANY_PROGRAMS, page="tune", keep_memory=True) as progress:
         from smajax.api.tune import tune as tune_gains
 
         study = tune_gains(rig, controller, seed=seed, progress=progress)

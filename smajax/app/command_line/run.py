@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 
 def start_run(
-    quiet: bool, accelerator: bool = False, address_space: int = FEW_PROGRAMS, page: str = ""
+    quiet: bool,
+    accelerator: bool = False,
+    address_space: int = FEW_PROGRAMS,
+    page: str = "",
+    keep_memory: bool = False,
 ) -> "CommandProgress":
     """Show progress and configure JAX; call it before importing modules that use JAX.
 
@@ -29,6 +33,7 @@ def start_run(
         accelerator: Whether JAX may use an accelerator.
         address_space: Bytes of address space that the command needs.
         page: Command whose report is built at the end; what builds it is loaded while the numbers run.
+        keep_memory: Whether freed memory is kept, as for a command that runs batch after batch.
 
     Raises:
         NumericsError: If the process may not have the memory that JAX needs.
@@ -36,11 +41,13 @@ def start_run(
     exit_on_interrupt()
     check_address_space(address_space)
     from smajax.app.console import CommandProgress
-    from smajax.numerics.process import prepare_jax
+    from smajax.numerics.process import keep_freed_memory, prepare_jax
     from smajax.progress import Progress
 
     display = Progress(quiet)
     display.phase("loading")
+    if keep_memory:
+        keep_freed_memory()
     prepare_jax(accelerator)
     return CommandProgress(display, functools.partial(_load_page_builder, page) if page else lambda: None)
 
