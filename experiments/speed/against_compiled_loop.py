@@ -10,7 +10,6 @@ times exclude compilation. ``--quick`` repeats less, and takes fewer sizes of a 
 
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from smajax.control.tuning.objective import Objective, make_objective
 from smajax.control.tuning.problem import TuningProblem
 from smajax.files.rig_file import Rig
 from smajax.fitting.problem import Problem
+from smajax.numerics.ensemble import share_among_cores
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs
@@ -113,6 +113,22 @@ def design_of(plant: Any, values: dict[str, float]) -> Any:
     return fast_loop.Design(**{field: fields.get(field, 0.0) for field in fast_loop.Design._fields})
 
 
+def ratio_row(what: str, target: float, repeats: int, functions: dict[str, Callable[[], Any]]) -> Row:
+    """Time two functions in turn, and return the row of the second one's time over that of the first.
+
+    Args:
+        what: What is compared.
+        target: Largest ratio that counts as good.
+        repeats: Number of calls of each.
+        functions: The two functions by name.
+    """
+    seconds = medians(repeats, functions)
+    first, second = seconds.values()
+    ratio = second / first
+    text = f"{ratio:.2f}x ({1e3 * second:.2f} ms against {1e3 * first:.2f} ms)"
+    return Row(what, f"<= {target:g}x", text, ratio <= target, {"ratio": ratio, **seconds})
+
+
 def single_row(comparison: Comparison, repeats: int) -> Row:
     """Time one simulation against the loop."""
     vector = jnp.asarray(comparison.problem.nominal)
@@ -120,15 +136,7 @@ def single_row(comparison: Comparison, repeats: int) -> Row:
         "loop": lambda: comparison.loop(comparison.steps),
         "smajax": ready(simulate_residual, comparison.problem, vector),
     }
-    seconds = medians(repeats, functions)
-    ratio = seconds["smajax"] / seconds["loop"]
-    return Row(
-        f"one simulation of {len(comparison.recording)} samples over the loop",
-        f"<= {SINGLE:g}x",
-        f"{ratio:.2f}x ({1e3 * seconds['smajax']:.2f} ms against {1e3 * seconds['loop']:.2f} ms)",
-        ratio <= SINGLE,
-        {"ratio": ratio, "seconds": seconds["smajax"], "loop_seconds": seconds["loop"]},
-    )
+    return ratio_row(f"one simulation of {len(comparison.recording)} samples over the loop", SINGLE, repeats, functions)
 
 
 def batch_row(comparison: Comparison, quick: bool) -> Row:
@@ -168,13 +176,7 @@ def _in_chunks(
     def simulate_chunk(chunk: dict[str, jax.Array]) -> np.ndarray:
         return np.asarray(simulate_batch(plant, chunk, inputs, channels)[0][channels[0]])
 
-    def run() -> list[np.ndarray]:
-        if threads == 1:
-            return [simulate_chunk(chunk) for chunk in chunks]
-        with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(simulate_chunk, chunks))
-
-    return run
+    return lambda: share_among_cores(simulate_chunk, chunks, workers=threads)
 
 
 def jacobian_row(recording: Recording, repeats: int) -> Row:
@@ -182,18 +184,11 @@ def jacobian_row(recording: Recording, repeats: int) -> Row:
     problem = fit_problem([recording], EXTRA_PARAMETERS)
     vector = jnp.asarray(problem.nominal)
     functions = {
-        "one": ready(simulate_residual, problem, vector),
-        "all": ready(linearise_residual, problem, vector),
+        "simulation": ready(simulate_residual, problem, vector),
+        "jacobian": ready(linearise_residual, problem, vector),
     }
-    seconds = medians(repeats, functions)
-    ratio = seconds["all"] / seconds["one"]
-    return Row(
-        f"residual and Jacobian of {len(vector)} parameters over one simulation",
-        f"<= {JACOBIAN:g}x",
-        f"{ratio:.2f}x ({1e3 * seconds['all']:.2f} ms against {1e3 * seconds['one']:.2f} ms)",
-        ratio <= JACOBIAN,
-        {"ratio": ratio, "jacobian_seconds": seconds["all"], "simulation_seconds": seconds["one"]},
-    )
+    what = f"residual and Jacobian of {len(vector)} parameters over one simulation"
+    return ratio_row(what, JACOBIAN, repeats, functions)
 
 
 @jit_with_kernels
@@ -216,16 +211,9 @@ def gradient_row(repeats: int) -> Row:
         "rollout": ready(_cost, problem, point, objective),
         "gradient": ready(_cost_and_gradient, problem, point, objective),
     }
-    seconds = medians(repeats, functions)
-    ratio = seconds["gradient"] / seconds["rollout"]
     duration = wire.period * problem.reference.values.shape[0]
-    return Row(
-        f"cost of a loop of {duration:.0f} s with its gradient in {len(problem.names)} gains over one rollout",
-        f"<= {GRADIENT:g}x",
-        f"{ratio:.2f}x ({1e3 * seconds['gradient']:.2f} ms against {1e3 * seconds['rollout']:.2f} ms)",
-        ratio <= GRADIENT,
-        {"ratio": ratio, "gradient_seconds": seconds["gradient"], "rollout_seconds": seconds["rollout"]},
-    )
+    what = f"cost of a loop of {duration:.0f} s with its gradient in {len(problem.names)} gains over one rollout"
+    return ratio_row(what, GRADIENT, repeats, functions)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Cost of fits by gradients against population searches, and of simulations, Jacobians and commands.
+"""Cost of fits by gradients against population searches, its growth with the data, and the time of a command.
 
     python experiments/speed/gradient_vs_population.py [--quick] [--json FILE] [--out DIR]
 

@@ -54,12 +54,12 @@ class CommandProgress:
         interrupted: Whether Ctrl-C was pressed while the result was written, or too late to stop the work before.
     """
 
-    def __init__(self, display: Progress, on_work: Callable[[], object] = lambda: None):
+    def __init__(self, display: Progress, on_work: Callable[[], object] | None = None):
         """Begin without a phase.
 
         Args:
             display: Display of the events.
-            on_work: Called once, when the first phase begins that can stop.
+            on_work: Called once, at the beginning of the first phase that can stop; nothing is called by default.
         """
         self._display = display
         self._on_work: Callable[[], object] | None = on_work

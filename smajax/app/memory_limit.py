@@ -55,7 +55,7 @@ def report_out_of_memory() -> None:
     if limit is None or "jax" in sys.modules:
         return
     watched = (*_PASSED_ON, signal.SIGCHLD)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a process that ignores it is not told how a child ended
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the exit code is lost
     before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     try:
         child = os.fork()

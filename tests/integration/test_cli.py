@@ -501,7 +501,7 @@ def test_a_ctrl_c_when_there_is_a_result_stops_the_next_search(monkeypatch):
 
 
 def test_what_builds_a_report_is_loaded_when_the_work_begins():
-    """Once; the modules are loaded in a process of its own, since plotly is loaded in this one."""
+    """Only once. A new process loads the modules, since this one has loaded plotly already."""
     calls: list[str] = []
     with CommandProgress(Progress(quiet=True), lambda: calls.append("work")) as progress:
         progress(ProgressEvent("reading"))

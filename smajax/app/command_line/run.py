@@ -49,7 +49,7 @@ def start_run(
     if keep_memory:
         keep_freed_memory()
     prepare_jax(accelerator)
-    return CommandProgress(display, functools.partial(_load_page_builder, page) if page else lambda: None)
+    return CommandProgress(display, functools.partial(_load_page_builder, page) if page else None)
 
 
 def _load_page_builder(command: str) -> None:

@@ -536,7 +536,7 @@ def test_a_reference_beyond_the_reachable_range_is_clipped():
 
 
 def test_start_gains_that_fail_on_fewer_draws_are_kept_and_judged(tmp_path, monkeypatch):
-    """The draws are those of the search; with a ``check`` of 1, the cases are draws only, without a check of its own."""
+    """With ``check = 1`` the cases are draws of parameters only, and the document has no check on cases."""
     (tmp_path / "c.toml").write_text(
         FILE.replace("[tune]\n", "[tune]\ncheck = 1\n") + '[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n'
     )
