@@ -40,16 +40,17 @@ def format_value(value: float | str | None, unit: str) -> str:
     return f"{size:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
 
 
-def format_in_unit(value: float, unit: str, written: str) -> str:
+def format_in_unit(value: float, unit: str, written: str, digits: int = 4) -> str:
     """Format a value in the unit of a file.
 
     Args:
         value: The value in its internal unit; may be infinite.
         unit: Its internal unit.
         written: The unit of the file.
+        digits: Number of significant digits.
     """
     size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
-    return f"{size:.4g}" + ("" if written == "1" else f" {written}")
+    return f"{size:.{digits}g}" + ("" if written == "1" else f" {written}")
 
 
 def format_parameter(value: float, entry: Mapping[str, Any]) -> str:

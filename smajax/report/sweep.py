@@ -16,6 +16,8 @@ from smajax.sweeps.sobol import is_resolved
 
 # Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
+# A refined design is at the end of an axis if it is nearer than this share of the axis; searches end at their bounds.
+_AT_END = 1e-3
 
 
 def sweep_summary(doc: Mapping[str, Any]) -> str:
@@ -37,7 +39,7 @@ def sweep_summary(doc: Mapping[str, Any]) -> str:
     elif any(entry["better"] for entry in doc["refined"]):
         words += _restoration_words(doc)
     words += "." + _constant_objectives_words(doc) + _unsettled_words(doc.get("settling", {}))
-    words += _excluding_words(doc) + _limit_words(doc) + _margin_words(doc)
+    words += _end_words(doc) + _excluding_words(doc) + _limit_words(doc) + _margin_words(doc)
     words += " But " + "; ".join(doc["problems"]) + "." if doc["problems"] else ""
     return words + (f" To buy: {doc['purchase']}." if doc.get("purchase") else "")
 
@@ -103,7 +105,27 @@ def _restoration_words(doc: Mapping[str, Any]) -> str:
     value = format_value(_best_in(better, name, goal)["metrics"][name], doc["metrics"][name]["unit"])
     words = f", so the nearest ones were refined: {len(better)} of {len(doc['refined'])} now satisfy them"
     spent = f"in {sum(entry['simulations'] for entry in doc['refined']):,} simulations"
-    return f"{words}, with a {name} of {value} at best, {spent}"
+    return f"{words}, with {name} {value} at best, {spent}"
+
+
+def _end_words(doc: Mapping[str, Any]) -> str:
+    """A sentence about axes at whose ends the best refined design lies; listed values are all that there is to buy."""
+    better = [entry for entry in doc["refined"] if entry["better"]]
+    if not better or not doc["objectives"]:
+        return ""
+    best = _best_in(better, *next(iter(doc["objectives"].items())))["parameters"]
+    ends = []
+    for name, axis in doc["parameters"].items():
+        if axis["values"] or axis["from"] == axis["to"]:
+            continue
+        shape = np.log if axis["scale"] == "log" else np.asarray
+        share = float((shape(best[name]) - shape(axis["from"])) / (shape(axis["to"]) - shape(axis["from"])))
+        if share < _AT_END or share > 1.0 - _AT_END:
+            size = "smallest" if share < _AT_END else "largest"
+            ends.append(f"the {size} {name} ({format_parameter(best[name], axis)})")
+    if not ends:
+        return ""
+    return f" The best design has {' and '.join(ends)} of the space: a wider one may hold better designs."
 
 
 def _constant_objectives_words(doc: Mapping[str, Any]) -> str:

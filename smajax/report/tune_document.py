@@ -57,6 +57,7 @@ def tune_document(study: ControllerTuning) -> dict[str, Any]:
         "controller": settings.name,
         "channel": settings.loop.channel,
         "unit": CHANNELS[settings.loop.channel].unit,
+        "command_unit": CHANNELS[settings.system.plant.drive.control].unit,
         "feasible": not (violated or tuned.unstable or tuned.margins.unstable or failures or _fails_cases(study)),
         "problems": _problems(study, checks),
         "gains": table,

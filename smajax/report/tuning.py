@@ -23,7 +23,7 @@ from smajax.report.tuning_checks import (
     worse_words,
     worst_cell,
 )
-from smajax.report.tuning_metrics import LABELS, format_metric
+from smajax.report.tuning_metrics import LABELS, format_entry
 from smajax.units import from_si
 
 # A gain is at a bound if it is nearer than this share of its logarithmic range.
@@ -37,10 +37,10 @@ _EXPORTS = ("controller.h", "controller.json", "plant.fmu", "controller.fmu")
 
 def tuning_summary(doc: Mapping[str, Any]) -> str:
     """Summarise the result of a tuning in sentences; ``doc`` is tune.json."""
-    channel, before, after = doc["channel"], doc["metrics"]["start"], doc["metrics"]["tuned"]
+    before, after = doc["metrics"]["start"], doc["metrics"]["tuned"]
     key = "settling" if doc["objective"]["settle"] else "rmse"
-    start, tuned = (format_metric(metrics[key], key, channel) for metrics in (before, after))
-    words = f"{LABELS[key]} of {channel}: {start} with the start gains, {tuned} with the tuned ones, "
+    start, tuned = (format_entry(doc, metrics[key], key) for metrics in (before, after))
+    words = f"{LABELS[key]} of {doc['channel']}: {start} with the start gains, {tuned} with the tuned ones, "
     words += f"found in {doc['rollouts']:,} rollouts."
     words += _feedforward_words(doc) + _pulse_words(doc)
     if "asked" in doc["objective"]:
@@ -59,7 +59,7 @@ def _feedforward_words(doc: Mapping[str, Any]) -> str:
         return ""
     entry = doc["feedforward"]
     ends = " to ".join(f"{end:.3g}" for end in entry["command"])
-    misfit = format_metric(entry["misfit"], "rmse", doc["channel"])
+    misfit = format_entry(doc, entry["misfit"], "rmse")
     share = 100.0 * entry["misfit"] / entry["stroke"]
     return (
         f" The feedforward's operator of {entry['operators']} plays was fitted to a slow loop of {ends} "
@@ -72,7 +72,7 @@ def _pulse_words(doc: Mapping[str, Any]) -> str:
     if "pulses" not in doc:
         return ""
     pulses = doc["pulses"]
-    error = format_metric(pulses["rmse_of_mean"], "rmse", doc["channel"])
+    error = format_entry(doc, pulses["rmse_of_mean"], "rmse")
     return (
         f" The command is pulsed at {pulses['carrier']:g} Hz; driven by the mean of its pulses, the same gains leave "
         f"an error of {error}. If the two errors differ, each pulse of the model, however short, transforms a part of "
@@ -164,14 +164,14 @@ def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return table rows of metrics and margins: name, start, tuned, range of the draws, and the worst case."""
-    rows, channel = [], doc["channel"]
+    rows = []
     for name, label in LABELS.items():
         if name not in doc["metrics"]["tuned"]:
             continue
-        row = [label, *(format_metric(doc["metrics"][when][name], name, channel) for when in ("start", "tuned"))]
+        row = [label, *(format_entry(doc, doc["metrics"][when][name], name) for when in ("start", "tuned"))]
         if doc["robust"]:
             low, _, high = doc["robust"]["tuned"]["spread"][name]
-            row.append(f"{format_metric(low, name, channel)} .. {format_metric(high, name, channel)}")
+            row.append(f"{format_entry(doc, low, name)} .. {format_entry(doc, high, name)}")
         if doc.get("case_check"):
             row.append(worst_cell(doc, name))
         rows.append(tuple(row))

@@ -6,8 +6,9 @@ from typing import Any
 from smajax.channels import CHANNELS
 from smajax.control.analysis.cases import GROUPS
 from smajax.control.analysis.margins import USUAL_MARGINS
+from smajax.control.analysis.step_response import SETTLING_BAND
 from smajax.report.prediction import usual_unit
-from smajax.report.tuning_metrics import LABELS, format_metric
+from smajax.report.tuning_metrics import LABELS, format_entry
 from smajax.units import from_si
 
 # Increase of a metric, as a share of its value with the start gains, that a sentence names; of an overshoot, as a share
@@ -21,6 +22,8 @@ _COSTS = tuple(name for name in LABELS if name != "mean_command")
 _RESPONSES = ("rise", "settling", "overshoot")
 # Metrics of which the check names the largest value, first those with a limit.
 _NAMED_WORST = ("overshoot", "settling", "rmse")
+# Band of the settling time in words.
+_BAND = f"within {100 * SETTLING_BAND:g} % of the jump"
 
 
 def check_words(doc: Mapping[str, Any]) -> str:
@@ -47,9 +50,9 @@ def check_words(doc: Mapping[str, Any]) -> str:
 def _worst_words(doc: Mapping[str, Any], name: str) -> str:
     """A clause on the largest value of a metric over all cases."""
     worst = doc["case_check"]["worst"][name]
-    value = format_metric(worst["value"], name, doc["channel"])
+    value = format_entry(doc, worst["value"], name)
     if value == "-" and name == "settling":
-        return f"a jump does not settle ({worst['case']})"
+        return f"a jump does not settle {_BAND} ({worst['case']})"
     return f"{LABELS[name]} at worst {value} ({worst['case']})"
 
 
@@ -94,10 +97,10 @@ def jump_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def _response_text(doc: Mapping[str, Any], value: float | None, name: str, size: float) -> str:
     """A value of a step response with its unit; an overshoot also in the unit of the channel."""
-    output = format_metric(value, name, doc["channel"])
+    output = format_entry(doc, value, name)
     if name != "overshoot" or value is None:
         return output
-    return f"{output}, {format_metric(value * size, 'max_error', doc['channel'])}"
+    return f"{output}, {format_entry(doc, value * size, 'max_error')}"
 
 
 def jump_head(doc: Mapping[str, Any]) -> tuple[str, ...]:
@@ -130,7 +133,7 @@ def unsettled_words(doc: Mapping[str, Any]) -> str:
     if not names:
         return ""
     shown = "; ".join(names[:_MOST_JUMPS])
-    return f" With the tuned gains not settled at the end of its hold: {shown}."
+    return f" With the tuned gains not settled {_BAND} at the end of its hold: {shown}."
 
 
 def worse_words(doc: Mapping[str, Any]) -> str:
@@ -144,7 +147,7 @@ def worse_words(doc: Mapping[str, Any]) -> str:
     for name in _COSTS:
         if name not in tuned or not _is_worse(start[name], tuned[name], name):
             continue
-        before, after = (format_metric(v, name, doc["channel"]) for v in (start[name], tuned[name]))
+        before, after = (format_entry(doc, v, name) for v in (start[name], tuned[name]))
         worse.append(f"{LABELS[name]} {after} instead of {before}" if after != "-" else f"{LABELS[name]} (not finite)")
     return f" Worse than with the start gains: {', '.join(worse)}." if worse else ""
 
@@ -207,7 +210,7 @@ def worst_cell(doc: Mapping[str, Any], name: str) -> str:
         name: Name of the metric.
     """
     worst = doc["case_check"]["worst"].get(name)
-    return format_metric(worst["value"], name, doc["channel"]) if worst else "-"
+    return format_entry(doc, worst["value"], name) if worst else "-"
 
 
 def padded(rows: Sequence[tuple[str, ...]], width: int) -> list[tuple[str, ...]]:

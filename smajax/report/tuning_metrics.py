@@ -1,6 +1,8 @@
 """Metrics of a tuning with their labels and units."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from smajax.channels import CHANNELS
 from smajax.report.prediction import usual_unit
@@ -23,13 +25,25 @@ LABELS = {
 _UNITS = {"rise": "s", "settling": "s", "energy": "J", "peak_temperature": "degC", "peak_current": "A"}
 
 
-def format_metric(value: float | None, name: str, channel: str) -> str:
+def format_entry(doc: Mapping[str, Any], value: float | None, name: str) -> str:
+    """Format a metric of tune.json with its usual unit.
+
+    Args:
+        doc: The document tune.json.
+        value: The metric in SI units or degC; ``None`` if there is none.
+        name: Name of the metric.
+    """
+    return format_metric(value, name, doc["channel"], doc.get("command_unit") or "")
+
+
+def format_metric(value: float | None, name: str, channel: str, command_unit: str = "") -> str:
     """Format a metric with its usual unit.
 
     Args:
         value: The metric in SI units or degC; ``None`` if there is none.
         name: Name of the metric, such as ``rmse``.
         channel: The controlled channel.
+        command_unit: Unit of the command, if it is known.
 
     Returns:
         The text; ``-`` for ``None`` and for a value that is not finite, such as an infinite settling time.
@@ -45,4 +59,5 @@ def format_metric(value: float | None, name: str, channel: str) -> str:
         return f"{100 * value:.2f} %"
     if name == "peak_stress":
         return f"{value / 1e6:.4g} MPa"
-    return f"{value:.4g} {_UNITS.get(name, '')}".strip()
+    unit = command_unit if name == "mean_command" else _UNITS.get(name, "")
+    return f"{value:.4g} {unit}".strip()

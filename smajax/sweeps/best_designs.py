@@ -15,6 +15,10 @@ from smajax.sweeps.refinement import RefinedDesign, refine, restore_and_refine, 
 from smajax.sweeps.space import Axis
 from smajax.sweeps.sweep_file import SweepFile
 
+# Refined designs count as one if they differ by less than this share of each axis, a hundredth: a wire of the same
+# length within what clamps leave open.
+_SAME_SHARE = 0.01
+
 
 class BestDesigns(NamedTuple):
     """Best designs in the table of a sweep.
@@ -66,8 +70,8 @@ def refine_best_designs(
         report: Called with a message before each refinement.
 
     Returns:
-        A result for each start, the best first; empty if the sweep has no refinement, no simulated design, or listed
-        values only.
+        The distinct results of all starts, the best first; empty if the sweep has no refinement, no simulated design,
+        or listed values only.
     """
     if not sweep.refine_starts or not np.any(columns["code"] == "done") or all(axis.values for axis in sweep.axes):
         return []
@@ -84,7 +88,34 @@ def refine_best_designs(
         refined.append(_refine_design(sweep, problem, designs[row], bool(best.feasible[row]), bool(inside[row])))
     if len(sweep.objectives) == 1:
         refined += _refine_populations(sweep, problem, designs[order], refined, report)
-    return sorted(refined, key=lambda result: _rank(sweep, result))
+    return distinct_designs(sweep.axes, sorted(refined, key=lambda result: _rank(sweep, result)))
+
+
+def distinct_designs(axes: Sequence[Axis], refined: Sequence[RefinedDesign]) -> list[RefinedDesign]:
+    """Return the refined designs without those that a person would build alike.
+
+    Args:
+        axes: Axes of the space.
+        refined: Refined designs; of several that are alike the first is kept, with the simulations of all.
+    """
+    distinct: list[RefinedDesign] = []
+    for result in refined:
+        for k, other in enumerate(distinct):
+            if other.better == result.better and _are_same(axes, other.design, result.design):
+                distinct[k] = other._replace(simulations=other.simulations + result.simulations)
+                break
+        else:
+            distinct.append(result)
+    return distinct
+
+
+def _are_same(axes: Sequence[Axis], first: Float[np.ndarray, " axes"], second: Float[np.ndarray, " axes"]) -> bool:
+    """Whether a person would build one and the same design."""
+    return all(
+        first[k] == second[k]
+        or (not axis.values and not axis.whole and abs(axis.share(first[k]) - axis.share(second[k])) < _SAME_SHARE)
+        for k, axis in enumerate(axes)
+    )
 
 
 def _refine_design(

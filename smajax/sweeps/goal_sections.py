@@ -15,6 +15,8 @@ from smajax.units import unit_of
 GOALS = ("max", "min")
 # Upper bounds of metrics by their definition: work is at most the energy, and a gap at most the range.
 _UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
+# Metrics that are strains: a number above 1 was meant in percent.
+_STRAINS = ("strain_range",)
 # Units in which limits of the material are shown where the file has no constraint on the metric.
 _LIMIT_UNITS = {"peak_stress": "MPa", "peak_temperature": "degC", "strain_range": "%"}
 
@@ -116,9 +118,16 @@ def _check_possible(
     name: str, limit: Limit, bounds: tuple[float, float], subject: Subject, axes: Sequence[Axis]
 ) -> None:
     unit, (low, high) = subject.units[name], bounds
+    for key, value in (("at_least", low), ("at_most", high)):
+        if name in _STRAINS and 1.0 < value < math.inf:
+            text = getattr(limit, key)
+            raise InputError(
+                f"constraints.{name}.{key} = {show(text)} is a strain of {100.0 * value:g} %, which no wire bears: "
+                f'write "{value:g} %" if that is meant'
+            )
     place = f"constraints.{name}: at_most = {show(limit.at_most)} can never be satisfied"
     if high < 0.0 and unit != "degC":
-        raise InputError(f"{place}, as a {name} is not negative: correct it")
+        raise InputError(f"{place}, as {name} is never negative: correct it")
     if high < (smallest := subject.lower_bound(name, axes)):
         raise InputError(f"{place}, as it is never below {smallest:g} {unit}: correct it")
     if low > (largest := _UPPER_BOUNDS.get(name, math.inf)):

@@ -17,6 +17,7 @@ from smajax.diagnosis.auxiliary_channels import auxiliary_channels
 from smajax.errors import InputError
 from smajax.files.actuator_file import kind_of, parse_actuator
 from smajax.files.file_kinds import kind_of_file
+from smajax.files.file_units import file_units
 from smajax.files.latent_heat_note import latent_heat_note
 from smajax.files.rig_file import Rig, read_rig
 from smajax.files.toml import read_text
@@ -28,6 +29,7 @@ from smajax.plant.effects import catalogue
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
+from smajax.report.shown_values import format_in_unit
 from smajax.report.summary import table
 from smajax.simulation.step_size import default_step
 from smajax.units import as_text
@@ -36,6 +38,8 @@ from smajax.units import as_text
 _EVEN = 1e-3
 # Width of the text in columns of a terminal.
 _WIDTH = 110
+# Significant digits of a value in the unit of the rig file: those that a person writes.
+_DIGITS = 6
 # Relative difference between a step and the sample time that counts as rounding.
 _ROUNDING = 1e-9
 
@@ -161,6 +165,7 @@ def _effects(rig: Rig) -> list[str]:
 def _free_parameters(rig: Rig) -> list[str]:
     """Return a table of the free parameters; empty if there are none."""
     declarations = parameters.all_declarations(rig.plant)
+    written = file_units(rig, {name: declaration.unit for name, declaration in declarations.items()})
     rows = []
     for name in rig.fit.names:
         value, unit = float(parameters.get(rig.plant, name)), declarations[name].unit
@@ -169,8 +174,8 @@ def _free_parameters(rig: Rig) -> list[str]:
         rows.append(
             (
                 name,
-                as_text(value, unit) if math.isfinite(value) else "derived",
-                _bounds_text(bounds, unit),
+                _in_unit(value, unit, written.get(name)) if math.isfinite(value) else "derived",
+                _bounds_text(bounds, unit, written.get(name)),
                 rig.sources.get(parameters.expand([name])[0], "default"),
                 "one per recording" if per_recording else "",
             )
@@ -178,8 +183,13 @@ def _free_parameters(rig: Rig) -> list[str]:
     return table([("free parameter", "nominal", "bounds", "from", ""), *rows]) if rows else []
 
 
-def _bounds_text(bounds: tuple[float, float], unit: str) -> str:
-    return " .. ".join(as_text(end, unit) if math.isfinite(end) else "none" for end in bounds)
+def _bounds_text(bounds: tuple[float, float], unit: str, written: str | None = None) -> str:
+    return " .. ".join(_in_unit(end, unit, written) if math.isfinite(end) else "none" for end in bounds)
+
+
+def _in_unit(value: float, unit: str, written: str | None) -> str:
+    """A value in the unit of the rig file, else in the usual one."""
+    return format_in_unit(value, unit, written, _DIGITS) if written else as_text(value, unit)
 
 
 def _describe_recording(rig: Rig, recording: Recording) -> list[str]:

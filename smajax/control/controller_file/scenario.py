@@ -124,6 +124,7 @@ class _ReferenceReader:
             raise InputError(
                 f"reference.at = {show(self.section.at)} is not within reference.duration: give an earlier one"
             )
+        self._note_late(at, "at")
         return references.step(time, low, self._quantity(self.section.high, "high", self.unit), at)
 
     def _staircase(self, time: np.ndarray) -> np.ndarray:
@@ -138,7 +139,16 @@ class _ReferenceReader:
                 f"reference.levels: {len(levels)} levels of {show(self.section.hold)} do not fit into "
                 f"{show(self.section.duration)}: make reference.duration longer"
             )
+        self._note_late(hold, "hold")
         return references.staircase(time, levels, hold)
+
+    def _note_late(self, seconds: float, key: str) -> None:
+        """Note that a jump comes later than the file says, since the reference changes at samples only."""
+        if abs(seconds - round(seconds / self.period) * self.period) > _ROUNDING:
+            self.notes.append(
+                f"reference.{key} = {show(getattr(self.section, key))} is no multiple of controller.period = "
+                f"{self.period_text}, so that jumps come at the next sample"
+            )
 
     def _sine(self, time: np.ndarray, low: float) -> np.ndarray:
         frequency = self._quantity(self.section.frequency, "frequency", "Hz", least=_MIN_FREQUENCY)

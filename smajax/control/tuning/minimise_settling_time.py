@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.control.analysis.step_response import step_responses
+from smajax.control.tuning.constrained import constrained
 from smajax.control.tuning.objective import LIMITS, Objective, evaluate_objective, make_objective
 from smajax.control.tuning.problem import TuningProblem, simulate_gains
 from smajax.control.tuning.search import VIOLATION_TOLERANCE, Candidate, GainSearch, rank, total_violation
@@ -81,6 +82,36 @@ def minimise_settling_time(search: GainSearch, start: Float[np.ndarray, " gains"
     return settling_slp(linearised_at, start, span, jumps, search.objective, period, report, evaluations=_EVALUATIONS)
 
 
+def settle_within_limits(search: GainSearch, points: Float[np.ndarray, "starts gains"]) -> Float[np.ndarray, " gains"]:
+    """Minimise the settling time within the other limits, from the smallest terms without limits or within them.
+
+    The search from the smallest terms without limits may end outside the limits. Then the terms are minimised within
+    the limits first, and the settling time from there.
+
+    Args:
+        search: The search.
+        points: Starts in the unit box, shape ``(k, p)``.
+
+    Returns:
+        The point with the shortest settling time that keeps the limits, or the one with the smallest violation, shape
+        ``(p,)``.
+
+    Raises:
+        NumericsError: if no point has a finite cost.
+    """
+    unlimited = minimise_settling_time(search, minimise_without_limits(search, points))
+    if search.candidates(unlimited[None])[0].violation == 0.0:
+        return unlimited
+    kept = constrained(search, points)
+    found = search.candidates(np.stack([unlimited, kept, minimise_settling_time(search, kept)]))
+    return min((*found, search.evaluated[0]), key=lambda candidate: settling_rank(search, candidate)).point
+
+
+def settling_rank(search: GainSearch, candidate: Candidate) -> tuple[float, float]:
+    """Return the sort key of candidates: violation first, then the longest settling time; smaller is better."""
+    return candidate.violation, longest_settling(search.problem, candidate.point, search.objective.band)
+
+
 def meet_settling_limit(
     search: GainSearch, point: Float[np.ndarray, " gains"], points: Float[np.ndarray, "starts gains"]
 ) -> Float[np.ndarray, " gains"]:
@@ -123,11 +154,11 @@ def meet_settling_limit(
         refined = search.search_by_cobyqa(fastest_point, search.problem, *COBYQA_ALL_MEMBERS)
         return min(after, refined, key=rank).point
 
-    def settling_rank(candidate: Candidate) -> tuple[float, float]:
+    def rank_at_limit(candidate: Candidate) -> tuple[float, float]:
         others = total_violation(np.delete(candidate.violations, place))
         return others, longest_settling(search.problem, candidate.point, search.objective.band)
 
-    return min(before, after, key=settling_rank).point
+    return min(before, after, key=rank_at_limit).point
 
 
 class _ErrorAndViolations(eqx.Module):

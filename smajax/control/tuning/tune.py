@@ -18,8 +18,8 @@ from smajax.control.tuning.minimise_settling_time import (
     START_WEIGHTS,
     longest_settling,
     meet_settling_limit,
-    minimise_settling_time,
-    minimise_without_limits,
+    settle_within_limits,
+    settling_rank,
 )
 from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
 from smajax.control.tuning.population import evolve_near, evolve_population
@@ -134,13 +134,13 @@ def tune(
     try:
         points = _starts(search, starts, seed)
         if settle:
-            point = minimise_settling_time(search, minimise_without_limits(search, points))
+            point = settle_within_limits(search, points)
         else:
             point = _minimise_terms(search, points, population)
             if limits.get("settling", math.inf) < math.inf:
                 point = meet_settling_limit(search, point, points)
     except KeyboardInterrupt:
-        point, interrupted = _best_so_far(search, settle, band), True
+        point, interrupted = _best_so_far(search, settle), True
     terms, violations = search.evaluate(point[None])
     return TuningResult(
         point=point,
@@ -183,7 +183,7 @@ def _minimise_terms(
     return search.best().point
 
 
-def _best_so_far(search: GainSearch, settle: bool, band: float) -> Float[np.ndarray, " gains"]:
+def _best_so_far(search: GainSearch, settle: bool) -> Float[np.ndarray, " gains"]:
     """The best point of a search that was stopped: one that all members evaluated, or one reached last.
 
     Points that were reached are evaluated with all members first, since a local search may use some of them only, or a
@@ -195,7 +195,7 @@ def _best_so_far(search: GainSearch, settle: bool, band: float) -> Float[np.ndar
     candidates = [start, best, *(search.candidates(point[None])[0] for point in latest)]
     if not settle:
         return min(candidates, key=rank).point
-    return min(candidates, key=lambda c: (c.violation, longest_settling(search.problem, c.point, band))).point
+    return min(candidates, key=lambda candidate: settling_rank(search, candidate)).point
 
 
 def _alternatives(search: GainSearch) -> tuple[np.ndarray, ...]:

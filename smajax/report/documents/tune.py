@@ -145,6 +145,7 @@ class TuneDocument(Document):
     controller: str = Field(description="file name of the controller")
     channel: str = Field(description="the controlled channel")
     unit: str = Field(description="unit of the channel")
+    command_unit: str | None = Field(None, description="unit of the command; absent up to version 0.2.0")
     feasible: bool = Field(description="whether the tuned gains are stable and meet all limits, also on all draws")
     problems: list[str] = Field(description="reasons why the result or the start is not usable, as clauses")
     gains: dict[str, GainEntry] = Field(description="gains by name")
@@ -163,7 +164,7 @@ class TuneDocument(Document):
     pulses: PulsesEntry | None = Field(None, description="pulses of the command; absent without a carrier")
     believes: list[str] | None = Field(None, description="channels that the filter measures; absent without a filter")
     recording_notes: list[str] | None = Field(
-        None, description="sentences on the recordings of the controller file; absent where there are none"
+        None, description="sentences on references and recordings of the controller file; absent where there are none"
     )
     case_check: CheckEntry | None = Field(
         None, description="check on cases that no search has used; absent where only the rollout of the file counts"

@@ -27,6 +27,7 @@ from smajax.files.rig_file import read_rig
 from smajax.progress import Progress
 from smajax.report.tuning import metric_rows, stage_head, tuning_summary
 from smajax.report.tuning_checks import check_words, jump_rows, unsettled_words, usual_margin_words, worse_words
+from smajax.report.tuning_metrics import format_entry
 from tests.unit.control.test_tuning import FILE, RIG
 
 NOISY = FILE + '[sensor]\nnoise = "5 um"\n'
@@ -380,13 +381,15 @@ def test_the_summary_states_the_worst_case_each_jump_and_what_is_worse():
             "retunings": 1,
         },
     }
+    assert format_entry(doc, 0.25, "mean_command") == "0.25"  # of an earlier version
+    assert format_entry(doc | {"command_unit": "A"}, 0.25, "mean_command") == "0.25 A"
     assert check_words(doc) == (
         " Judged on 130 rollouts that no search used (64 for noise, 1 for no noise), all of which keep the limits: "
-        "overshoot at worst 4.50 % (noise draw 7); a jump does not settle (no noise). "
+        "overshoot at worst 4.50 % (noise draw 7); a jump does not settle within 2 % of the jump (no noise). "
         "The gains were tuned again once for cases that missed a limit."
     )
     assert unsettled_words(doc) == (
-        " With the tuned gains not settled at the end of its hold: jump 2, 3 to 5 mm at 4 s."
+        " With the tuned gains not settled within 2 % of the jump at the end of its hold: jump 2, 3 to 5 mm at 4 s."
     )
     assert worse_words(doc) == (
         " Worse than with the start gains: settling (not finite), overshoot 4.00 % instead of 1.00 %."

@@ -31,7 +31,11 @@ from smajax.control.tuning import case_retuning, retuning
 from smajax.control.tuning.case_retuning import JudgedGains
 from smajax.control.tuning.controller_problem import draw_parameters, with_fit_of_rig
 from smajax.control.tuning.feedforward_identification import Feedforward, identify_feedforward
-from smajax.control.tuning.minimise_settling_time import longest_settling
+from smajax.control.tuning.minimise_settling_time import (
+    longest_settling,
+    minimise_settling_time,
+    minimise_without_limits,
+)
 from smajax.control.tuning.objective import TERMS, make_objective
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
 from smajax.control.tuning.population import evolve_population
@@ -91,6 +95,17 @@ def test_the_hip_settles_sooner_than_by_a_population():
     assert result.feasible and result.settling < 21.2 and result.rollouts <= 183
     assert result.violations["overshoot"] <= 0.0
     assert [s for _, s in result.history] == sorted((s for _, s in result.history), reverse=True)
+
+
+def test_the_shortest_settling_time_keeps_a_limit_that_the_smallest_terms_violate(tmp_path):
+    (tmp_path / "c.toml").write_text(FILE)
+    task = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
+    search = GainSearch(problem, _wanted(0.03), lambda rollouts, cost: None, settle=True)
+    unlimited = minimise_settling_time(search, minimise_without_limits(search, problem.start[None]))
+    assert search.candidates(unlimited[None])[0].violation > 1.0
+    result = tune(problem, {}, {"overshoot": 0.03}, settle=True)
+    assert result.feasible and result.settling < longest_settling(problem, unlimited, 0.02)
 
 
 def test_a_settling_limit_that_cannot_be_kept_gives_the_shortest_settling_time():
@@ -1048,6 +1063,12 @@ def test_references_of_a_controller_file(tmp_path, of):
     assert notes == (
         "reference.csv: 1 of 99 rows in which time does not increase dropped on request: row 11",
         "reference.csv: recorded and not used, since the reference is the displacement: force",
+    )
+    (note,) = of(FILE.replace('"8 s"', '"8.02 s"')).notes
+    assert note.startswith("reference.hold = '8.02 s' is no multiple of controller.period = '50 ms'")
+    assert (
+        not of(FILE).notes
+        and "reference.at = '2.01 s'" in of(FILE.replace(STAIRS, STEP.replace("2 s", "2.01 s"))).notes[0]
     )
     wave = of(FILE.replace(STAIRS, SINE))
     assert float(wave.scenario.reference.min()) == pytest.approx(1e-3) and float(

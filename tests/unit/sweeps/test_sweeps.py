@@ -276,6 +276,8 @@ def test_summary_of_refined_designs():
             "objectives": {"stroke": "max"},
         }
         document |= {"front": [best], "on_front": 1, "metrics": {"stroke": {"unit": "m"}}, "problems": []}
+        document["parameters"] = {}
+        document["parameters"] = {}
         return sweep_summary(document | {"refined": refined, "settling": settling or {}})
 
     gained = summary([refined(1.9e-3, True), refined(3e-3, True)])
@@ -1101,6 +1103,11 @@ BAD = [
         'peak_temperature = { at_most = "120 degC" }',
         'efficiency = { at_least = "101 %" }',
         "can never be satisfied, as it is never above 1",
+    ),
+    (
+        'peak_temperature = { at_most = "120 degC" }',
+        "strain_range = { at_most = 3.5 }",
+        'constraints.strain_range.at_most = 3.5 is a strain of 350 %, which no wire bears: write "3.5 %" if that',
     ),
     (
         "designs = 130",
