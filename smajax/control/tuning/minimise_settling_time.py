@@ -99,11 +99,11 @@ def settle_within_limits(search: GainSearch, points: Float[np.ndarray, "starts g
     Raises:
         NumericsError: if no point has a finite cost.
     """
-    unlimited = minimise_settling_time(search, minimise_without_limits(search, points))
-    if search.candidates(unlimited[None])[0].violation == 0.0:
-        return unlimited
+    first = minimise_settling_time(search, minimise_without_limits(search, points))
+    if search.candidates(first[None])[0].violation == 0.0:
+        return first
     kept = constrained(search, points)
-    found = search.candidates(np.stack([unlimited, kept, minimise_settling_time(search, kept)]))
+    found = search.candidates(np.stack([first, kept, minimise_settling_time(search, kept)]))
     return min((*found, search.evaluated[0]), key=lambda candidate: settling_rank(search, candidate)).point
 
 
