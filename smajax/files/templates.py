@@ -10,6 +10,7 @@ import tomlkit
 from tomlkit.items import Table
 
 from smajax.errors import InputError
+from smajax.files.latent_heat_note import template_note
 from smajax.recordings.datasets import data_path
 from smajax.recordings.paths import check_output_path
 
@@ -29,12 +30,14 @@ class Example(NamedTuple):
         example: The rig of the recordings.
         recordings: The recordings for training, selection and holdout.
         others: A controller and a sweep, where the kind has them.
+        note: A note on the rig file; empty if there is none.
     """
 
     rig: Path
     example: Path
     recordings: tuple[Path, Path, Path]
     others: list[Path]
+    note: str
 
 
 def write_example(kind: str, out: Path) -> Example:
@@ -48,7 +51,7 @@ def write_example(kind: str, out: Path) -> Example:
         out: Folder of the files; created if necessary.
 
     Returns:
-        The paths of the files.
+        The paths of the files, and a note.
 
     Raises:
         InputError: If one of the files exists (then none is written), or they cannot be written.
@@ -73,20 +76,7 @@ def write_example(kind: str, out: Path) -> Example:
         files[out / "sweep.toml"] = text.encode()
     _write(files, out)
     rig, example_rig, train, select, holdout, *others = files
-    return Example(rig, example_rig, (train, select, holdout), others)
-
-
-def template_note(rig: Path) -> str:
-    """Return the note on a heat balance without latent heat (``latent_heat_note``) for a rig file; empty if none.
-
-    Args:
-        rig: The rig file that was written.
-    """
-    from smajax.files.latent_heat_note import latent_heat_note
-    from smajax.files.rig_file import read_rig
-
-    read = read_rig(rig)
-    return latent_heat_note(read.plant, read.fit)
+    return Example(rig, example_rig, (train, select, holdout), others, template_note(template))
 
 
 def is_actuator_kind(kind: str) -> bool:

@@ -68,7 +68,7 @@ def init(
     ] = Path(),
 ) -> None:
     """Write a commented rig.toml, and an example with recordings to start from; no file is ever overwritten."""
-    from smajax.files.templates import is_actuator_kind, template_note, write_actuator_example, write_example
+    from smajax.files.templates import is_actuator_kind, write_actuator_example, write_example
 
     if is_actuator_kind(kind.value):
         rig, sweep_file = write_actuator_example(kind.value, out)
@@ -76,7 +76,7 @@ def init(
         say(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
         return
 
-    rig, example, (train, select, holdout), others = write_example(kind.value, out)
+    rig, example, (train, select, holdout), others, note = write_example(kind.value, out)
     say(
         f"Wrote {rig}, to fill in with your own wire, and an example: {example} with the recordings\n"
         f"{train} (to fit), {select} (to choose effects) and {holdout} (to predict).\n"
@@ -90,7 +90,7 @@ def init(
         else:
             say(f"      smajax sweep {path} --out {out / 'swept'}")
     say("Why three recordings: smajax explain three-recordings")
-    if note := template_note(rig):
+    if note:
         say(f"Note: {note}.")
 
 

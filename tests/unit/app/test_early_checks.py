@@ -199,7 +199,7 @@ def test_a_mistake_in_a_recording_gives_the_sentence_of_the_full_check(example, 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_correct_files_pass_and_have_the_parameters_of_the_plant(tmp_path, kind):
-    _, path, recordings, others = write_example(kind, tmp_path)
+    _, path, recordings, others, _ = write_example(kind, tmp_path)
     check_files(toml={"rig": path}, recordings=recordings)
     for other in others:
         check_files(toml={"file": other})

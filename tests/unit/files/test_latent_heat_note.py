@@ -1,8 +1,10 @@
 """Note on a heat balance without latent heat."""
 
+import tomllib
+
 import pytest
 
-from smajax.files.latent_heat_note import FLEXINOL_LATENT_HEAT, latent_heat_note
+from smajax.files.latent_heat_note import FLEXINOL_LATENT_HEAT, latent_heat_note, template_note
 from smajax.files.rig_file import parse_rig
 from smajax.recordings.datasets import data_path
 
@@ -21,13 +23,14 @@ def test_the_value_is_that_of_the_data_sheet():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_heat_balance_without_latent_heat_has_a_note_with_its_cure(kind):
     text = data_path("templates", f"{kind}.toml").read_text("utf-8")
+    assert template_note(tomllib.loads(text)) == note(text)
     if kind == "path":  # no heat balance
         assert note(text) == ""
         return
     assert "156 MJ/m^3" in note(text) and "[effects.latent-heat]" in note(text)
     assert "\n# [effects.latent-heat]" in text
     with_effect = text.replace("# [effects.latent-heat]", "[effects.latent-heat]").replace("# strength", "strength")
-    assert note(with_effect) == ""
+    assert template_note(tomllib.loads(with_effect)) == note(with_effect) == ""
 
 
 def test_latent_heat_that_is_fitted_or_a_temperature_that_is_recorded_has_none():
@@ -38,6 +41,7 @@ def test_latent_heat_that_is_fitted_or_a_temperature_that_is_recorded_has_none()
     zero = text.replace("\n[fit]", '\n[effects.latent-heat]\nstrength = "0 J/m^3"\n\n[fit]')
     assert "no latent heat" in note(zero)
     prescribed = text.replace('control = "current"', 'control = "temperature"')
+    assert template_note(tomllib.loads(prescribed)) == ""
     prescribed = "".join(
         line for line in prescribed.splitlines(keepends=True) if not line.startswith(("[heat]", "h0", "h2", "capacity"))
     ).replace('"heat.h0", "heat.capacity", ', "")
