@@ -6,6 +6,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from smajax.errors import InputError
+
 # Objects allocated before the garbage collector runs (Python's default is 700 to 2000). Serialising a compiled program
 # allocates many small objects, none of which is garbage. Chosen by trial.
 _GARBAGE_THRESHOLD = 200_000
@@ -50,6 +52,25 @@ def prepare_jax(accelerator: bool = False) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     os.environ.setdefault(STORED_PROGRAMS, "on")
+
+
+def require_gpu() -> None:
+    """Refuse to go on without a GPU that JAX can use.
+
+    Raises:
+        InputError: If JAX's default device is not a GPU.
+    """
+    import jax
+
+    try:
+        found = jax.default_backend()
+    except (RuntimeError, AssertionError):  # JAX_PLATFORMS names a platform that is not there
+        found = "no device"
+    if found != "gpu":
+        raise InputError(
+            f"--device gpu: JAX finds {found} instead of a GPU: install JAX for your GPU, as in "
+            "pip install 'jax[cuda13]<0.11', unset JAX_PLATFORMS if it is set, or leave --device out"
+        )
 
 
 def keep_freed_memory() -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from smajax.app.command_line.early_checks import check_files
-from smajax.app.command_line.options import Json, Open, Out, Quiet, RigFile, Seed
+from smajax.app.command_line.options import Device, Json, Open, Out, Quiet, RigFile, Seed
 from smajax.app.command_line.run import argv, finish_run, start_run
 from smajax.app.memory_limit import MANY_PROGRAMS, WIDE_PROGRAMS
 
@@ -46,13 +46,16 @@ def sweep(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue a run that ended early; finished chunks are kept.")
     ] = False,
+    device: Annotated[
+        Device, typer.Option("--device", help="Where designs are simulated; auto takes a GPU if JAX has one.")
+    ] = Device.auto,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
 ) -> None:
     """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
     check_files(toml={"sweep": sweep_file}, out=out)
-    with start_run(quiet, accelerator=True, address_space=WIDE_PROGRAMS, page="sweep") as progress:
+    with start_run(quiet, device, address_space=WIDE_PROGRAMS, page="sweep") as progress:
         from smajax.api.sweep import sweep as simulate_designs
 
         study = simulate_designs(

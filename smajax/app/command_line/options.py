@@ -1,5 +1,6 @@
 """Options and arguments that several commands share."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,15 @@ from smajax.arguments import MAX_SEED
 DEFAULT_MAX_STEPS = 100
 # Larger numbers are typing errors: fits of rigs that converge take 5 to 60 steps.
 MAX_STEPS = 100_000
+
+
+class Device(StrEnum):
+    """Devices for thousands of designs at a time."""
+
+    auto = "auto"
+    cpu = "cpu"
+    gpu = "gpu"
+
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml).")]
 Out = Annotated[

@@ -1,6 +1,7 @@
 """Start and end of a long command: progress, the command line for its record, output and exit code."""
 
 import functools
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,12 +15,13 @@ from smajax.errors import Cancelled
 
 if TYPE_CHECKING:
     from smajax.api.study import Study
+    from smajax.app.command_line.options import Device
     from smajax.app.console import CommandProgress
 
 
 def start_run(
     quiet: bool,
-    accelerator: bool = False,
+    device: "Device | None" = None,
     address_space: int = FEW_PROGRAMS,
     page: str = "",
     keep_memory: bool = False,
@@ -30,25 +32,30 @@ def start_run(
 
     Args:
         quiet: Whether no progress is shown.
-        accelerator: Whether JAX may use an accelerator.
+        device: Device of a command that simulates thousands of designs at a time; others use the CPU.
         address_space: Bytes of address space that the command needs.
         page: Command whose report is built at the end; what builds it is loaded while the numbers run.
         keep_memory: Whether freed memory is kept, as for a command that runs batch after batch.
 
     Raises:
         NumericsError: If the process may not have the memory that JAX needs.
+        InputError: If there is no device of this kind.
     """
     exit_on_interrupt()
     check_address_space(address_space)
     from smajax.app.console import CommandProgress
-    from smajax.numerics.process import keep_freed_memory, prepare_jax
+    from smajax.numerics.process import keep_freed_memory, prepare_jax, require_gpu
     from smajax.progress import Progress
 
     display = Progress(quiet)
     display.phase("loading")
     if keep_memory:
         keep_freed_memory()
-    prepare_jax(accelerator)
+    if device == "cpu":
+        os.environ["JAX_PLATFORMS"] = "cpu"  # also of the processes that a sweep starts
+    prepare_jax(accelerator=device is not None)
+    if device == "gpu":
+        require_gpu()
     return CommandProgress(display, functools.partial(_load_page_builder, page) if page else None)
 
 

@@ -4,8 +4,11 @@ import os
 import subprocess
 import sys
 
+import jax
 import pytest
 
+from smajax.errors import InputError
+from smajax.numerics.process import require_gpu
 from tests.conftest import ROOT
 
 CODE = (
@@ -44,6 +47,23 @@ def test_only_what_goes_in_batches_is_left_to_an_accelerator(words, platforms, e
     environment = os.environ | {"JAX_PLATFORMS": platforms}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() in (expected, expected.replace("None", ""))
+
+
+def test_the_device_of_a_command_is_chosen_or_refused():
+    code = "from smajax.app.command_line.run import start_run; start_run(True, 'cpu'); import jax; print(jax.default_backend())"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"JAX_PLATFORMS": "cuda"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "cpu"
+    if jax.default_backend() == "gpu":
+        require_gpu()
+    else:
+        with pytest.raises(InputError, match=r"--device gpu: JAX finds cpu instead of a GPU: install JAX for your GPU"):
+            require_gpu()
 
 
 def test_the_best_designs_are_refined_on_the_processor():
