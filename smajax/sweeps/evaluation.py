@@ -11,6 +11,9 @@ from smajax.sweeps.compilation import differentiate_batch
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.space import Axis
 
+# Shares this close to an end are at the end: SLSQP stops short of a bound by its rounding.
+_ROUNDING = 1e-9
+
 
 class DesignEvaluator:
     """Evaluator of designs at shares of the free axes, 0 to 1 each; results are cached.
@@ -45,7 +48,8 @@ class DesignEvaluator:
     def design(self, shares: Float[np.ndarray, " free"]) -> Float[np.ndarray, " axes"]:
         """Return the design, shape ``(axes,)``, at shares of the free axes, shape ``(free,)``, clipped to [0, 1]."""
         design = self.start.copy()
-        for k, share in zip(self.free, np.clip(shares, 0.0, 1.0), strict=True):
+        inside = np.where(shares < _ROUNDING, 0.0, np.where(shares > 1.0 - _ROUNDING, 1.0, shares))
+        for k, share in zip(self.free, inside, strict=True):
             design[k] = self.axes[k].at(np.asarray([share]))[0]
         return design
 

@@ -4,8 +4,10 @@ import numpy as np
 
 from smajax.report.sweep import sweep_summary
 from smajax.sweeps.best_designs import distinct_designs
+from smajax.sweeps.evaluation import DesignEvaluator
 from smajax.sweeps.refinement import RefinedDesign
 from smajax.sweeps.space import Axis
+from tests.unit.sweeps.test_sweeps import StubProblem
 
 LENGTH = Axis("wire.length", "m", 0.1, 0.5)
 WIRES = Axis("number", "1", 1.0, 9.0, whole=True)
@@ -52,3 +54,10 @@ def test_the_ends_of_axes_at_which_the_best_design_lies_are_named():
     assert f" The best design has {ends}: a wider one may hold better designs." in summary(0.1, 0.5)
     assert "The best design has the largest wire.length (399.9 mm) of the space" in summary(0.3999, 0.2)
     assert "of the space" not in summary(0.3, 0.2) and "of the space" not in summary(0.1, 0.5, better=False)
+
+
+def test_a_search_that_stops_at_an_end_by_rounding_ends_there():
+    offset = Axis("input.offset", "A", 0.0, 0.5)
+    evaluator = DesignEvaluator(StubProblem({}), (offset, LENGTH), np.array([0.1, 0.2]), 100)
+    assert evaluator.design(np.array([7e-13, 1.0 - 7e-13])).tolist() == [0.0, 0.5]
+    assert evaluator.design(np.array([-1e-3, 0.5])).tolist() == [0.0, 0.3]
