@@ -1,6 +1,7 @@
 """Every key of the input files, from the models of their sections and the declarations of parameters."""
 
 import functools
+import inspect
 import math
 import re
 import tomllib
@@ -230,7 +231,8 @@ def _sensor_section() -> str:
 def _recording_section() -> str:
     import dataclasses
 
-    described = dict(re.findall(r"^        (\w+): ((?:.|\n            )+)", ReadOptions.__doc__ or "", re.MULTILINE))
+    text = inspect.cleandoc(ReadOptions.__doc__ or "")  # Python 3.13 removes the indentation itself
+    described = dict(re.findall(r"^    (\w+): ((?:.|\n        )+)", text, re.MULTILINE))
     rows = [
         (
             code(field.name),

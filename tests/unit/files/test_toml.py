@@ -14,7 +14,7 @@ from smajax.files.parameter_sets import Entry, read_header, read_parameters, wri
 from smajax.files.templates import write_example
 from smajax.files.toml import parse_toml, render_toml
 
-# Seconds in which a text is read or refused, on a busy machine.
+# Seconds of processor time in which a text is read or refused.
 AT_ONCE = 5.0
 # Surrogates are not text in UTF-8.
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
@@ -94,10 +94,10 @@ def test_comments_of_a_template_stay_in_their_column(tmp_path, kind):
     "key", ["a" + ".a" * 50_000 + " = 1", "[" + " . ".join(["'a'"] * 50_000) + "]", "x = {" + "a." * 9000 + "a = 1}"]
 )
 def test_a_key_of_many_parts_is_refused_at_once(key):
-    begin = time.monotonic()
+    begin = time.process_time()
     with pytest.raises(InputError, match="row 2: a key has more than 64 parts"):
         parse_toml(f"schema = 1\n{key}\n", "a.toml")
-    assert time.monotonic() - begin < AT_ONCE
+    assert time.process_time() - begin < AT_ONCE
 
 
 @pytest.mark.parametrize("text", ["'" + "." * 900 + "'", "'" + "a.b " * 900 + "'", f"1 # {'.' * 900}"])
@@ -106,6 +106,6 @@ def test_texts_and_comments_may_have_many_dots(text):
 
 
 def test_a_long_text_without_dots_takes_no_time():
-    begin = time.monotonic()
+    begin = time.process_time()
     assert parse_toml(f"note = '{'a' * 900_000}'\n", "a.toml")
-    assert time.monotonic() - begin < AT_ONCE
+    assert time.process_time() - begin < AT_ONCE

@@ -22,7 +22,7 @@ TABLE = pd.DataFrame(ROWS)
 PLAIN = {"time": ChannelMap("t", "ms"), "current": ChannelMap("drive.i", "mA")}
 NESTED = [{"t": 0, "drive": {"i": 0}}, {"t": 500, "drive": {"i": 1500}}, {"t": 1000, "drive": {"i": 2000}}]
 LISTS = [[0, 0.0, "a"], [0.5, 1.5, "b"], [1.0, 2.0, "c"]]
-# Seconds in which a small file is refused, on a busy machine.
+# Seconds of processor time in which a small file is refused.
 AT_ONCE = 5.0
 NAMES = ("time [s]", "current [A]", "-")
 
@@ -120,10 +120,10 @@ def test_bad_lines_are_dropped_and_counted(read):
 
 def test_rows_with_other_keys_each_are_refused_at_once(read):
     rows = [{"time [s]": k, "current [A]": 0.1, f"key {k}": 1} for k in range(8000)]
-    begin = time.monotonic()
+    begin = time.process_time()
     with pytest.raises(InputError, match="'key 0' is not a known channel"):
         read("a.jsonl", lines(rows))
-    assert time.monotonic() - begin < AT_ONCE
+    assert time.process_time() - begin < AT_ONCE
 
 
 def test_a_key_that_rows_lack_is_named_in_the_first_of_them(read):
