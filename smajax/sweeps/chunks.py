@@ -6,7 +6,7 @@ number of workers or an earlier run. So all runs of a sweep on one kind of machi
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,7 +152,7 @@ def run_chunks(
     report: Callable[[int], None],
     stop: Callable[[], bool],
 ) -> bool:
-    """Simulate the chunks that are not in a folder yet, and write each when it is finished.
+    """Simulate the chunks that are not in a folder yet, and write each while the next ones are simulated.
 
     Args:
         chunks: All chunks of the sweep.
@@ -178,12 +178,24 @@ def run_chunks(
 
     # Writing a file waits for the disk to confirm it, so several threads write at once.
     with ThreadPoolExecutor(_WRITERS) as pool:
-        for group in submit(missing):
-            list(pool.map(write, group))
-            count += len(group)
-            report(count)
-            if stop():
-                break
+        written: list[Future[None]] = []
+
+        def finish() -> None:
+            nonlocal count
+            while written:
+                written.pop(0).result()
+                count += 1
+                if not written:
+                    report(count)
+
+        try:
+            for group in submit(missing):
+                finish()
+                written += [pool.submit(write, part) for part in group]
+                if stop():
+                    break
+        finally:
+            finish()
     return count == len(chunks)
 
 
