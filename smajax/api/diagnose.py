@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from smajax import parameters
-from smajax.api.bench import report_findings
+from smajax.api.bench import bench_entries, report_findings
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
 from smajax.api.split import refuse_others, split_recording
@@ -22,6 +22,7 @@ from smajax.diagnosis.setup import DiagnosisSetup, diagnosed_rig, set_up_diagnos
 from smajax.errors import Cancelled, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.bench_checks import residual_findings
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis import NEXT_INPUT, RIG_WITH_LAW, diagnosis_document
@@ -135,6 +136,7 @@ def diagnose(
         setup = set_up_diagnosis(rig, recordings)
         result = _diagnose(rig, setup, (seed, laws), reporter, clock)
     reporter.finish("writing the report")
+    bench += _offset_entries(result, recordings, bench)
     document = _document(result, recordings, setup, rig, (began, seed), bench)
     code, reason = _outcome(result, document)
     return DiagnosisStudy(
@@ -184,6 +186,16 @@ def _document(
         seed=seed,
         bench=bench,
     )
+
+
+def _offset_entries(
+    result: Diagnosis, recordings: Sequence[Recording], bench: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Entries of offsets that explain the residual without any effect and that the recordings alone do not show."""
+    known = {entry["channel"] for entry in bench if entry["code"] == "offset"}
+    offsets = [offset for offset in result.offsets if offset.channel not in known]
+    floor = {channel: value for channel, (value, _) in result.noise.items()}
+    return bench_entries(residual_findings(recordings[:1], offsets, floor, "and diagnose again"))
 
 
 def _outcome(result: Diagnosis, document: Mapping[str, Any]) -> tuple[int, str]:

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from smajax import __version__, parameters
+from smajax import parameters
 from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
+from smajax.api.parameter_set import parameter_set
 from smajax.api.run_record import Clock, run_record
 from smajax.api.sources import RigSource, as_rig, recording_sources, rig_text, with_start
 from smajax.api.split import fit_sources
@@ -20,10 +21,9 @@ from smajax.api.study import FileContent, Study, interval_of
 from smajax.arguments import MAX_STARTS, as_names, seed_or_default, whole_number
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.fit_settings import FitSettings, read_input_noise
-from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
-from smajax.fitting.bench_checks import BenchFinding
+from smajax.fitting.bench_checks import BenchFinding, residual_findings
 from smajax.fitting.fit import MAX_STEPS
 from smajax.fitting.fit import fit as fit_plant
 from smajax.fitting.fit_quality import unusable_reason
@@ -138,7 +138,7 @@ def fit(
         rig, options = as_rig(rig), (seed, starts, max_steps, input_noise)
         sources = fit_sources(rig, train, holdout, split, drop_bad_rows)
         inputs = _with_findings(_read_inputs(rig, *sources, start, options, profile, drop_bad_rows), auto, reporter)
-    search, failure = _without_meaning(_search(inputs, solver, max_steps, reporter, clock), inputs, auto)
+    inputs, search, failure = _search_with_offsets(inputs, auto, (solver, max_steps, reporter, clock))
     reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search, failure)
     code, reason = _outcome(search, responses, _why_no_minimum(search.result, solver) or failure)
@@ -236,15 +236,39 @@ def _read_inputs(
 def _with_findings(inputs: _FitInputs, auto: bool, reporter: Reporter) -> _FitInputs:
     """Add what the recordings show about their bench, and with ``auto`` the offsets among it as free parameters."""
     findings = rig_findings(inputs.rig, [recording for recording, _ in inputs.recordings])
-    bench = bench_entries(findings, auto)
+    return _add_findings(inputs, findings, auto, reporter)
+
+
+def _add_findings(inputs: _FitInputs, findings: Sequence[BenchFinding], auto: bool, reporter: Reporter) -> _FitInputs:
+    """Report and add findings, and with ``auto`` the offsets of training recordings as free parameters."""
+    train = [recording.name for recording in inputs.with_role("train")]
+    bench = bench_entries(findings, train if auto else None)
     for entry in bench:
         reporter.phase(entry["text"])
-    rig = with_free_offsets(inputs.rig, findings) if auto else inputs.rig
+    rig = with_free_offsets(inputs.rig, findings, train) if auto else inputs.rig
     if rig is not inputs.rig:
         changes = {"free": rig.fit.free, "per_recording": rig.fit.per_recording}
         settings: Any = dataclasses.replace(inputs.settings, **changes)
         inputs = inputs._replace(rig=rig, text=rig.to_toml(), settings=settings)
-    return inputs._replace(findings=findings, bench=bench)
+    return inputs._replace(findings=(*inputs.findings, *findings), bench=(*inputs.bench, *bench))
+
+
+def _search_with_offsets(
+    inputs: _FitInputs, auto: bool, options: tuple[Any, int, Reporter, Clock]
+) -> tuple[_FitInputs, _Search, str]:
+    """Fit; where only the residual shows an offset, say so, and with ``auto`` fit again with the offset free.
+
+    Returns the inputs, the search, and why the fit is a failure (``_without_meaning``).
+    """
+    outcome, train = _search(inputs, *options), inputs.with_role("train")
+    if (result := outcome.result) is not None and not outcome.interrupted:
+        names, remedy = {recording.name for recording in train}, "which fit --auto (auto=True) does"
+        known = {f.channel for f in inputs.findings if f.code == "offset" and names & {*f.recordings}}
+        offsets = [offset for offset in result.offsets if offset.channel not in known]
+        findings = residual_findings(train, offsets, result.noise_floor, remedy)
+        inputs = _add_findings(inputs, findings, auto, options[2])
+        outcome = _search(inputs, *options) if auto and findings else outcome
+    return inputs, *_without_meaning(outcome, inputs, auto)
 
 
 def _without_meaning(search: _Search, inputs: _FitInputs, auto: bool) -> tuple[_Search, str]:
@@ -349,39 +373,13 @@ def _files(inputs: _FitInputs, result: FitResult | None) -> dict[str, FileConten
     files: dict[str, FileContent] = {"rig.toml": inputs.text.encode()}
     if result is None:
         return files
-    files["fit.toml"] = _parameter_set(result, inputs.with_role("train")).encode()
+    files["fit.toml"] = parameter_set(result, inputs.with_role("train")).encode()
     with contextlib.suppress(InputError):
         names = result.problem.shared + result.problem.per_recording
         values = {name: float(parameters.get(result.plant, name)) for name in names}
         finite = {name: value for name, value in values.items() if math.isfinite(value)}
         files["rig-fitted.toml"] = inputs.rig.to_toml(finite).encode()
     return files
-
-
-def _parameter_set(result: FitResult, train: Sequence[Recording]) -> str:
-    """Return the text of fit.toml: the estimates with intervals, bounds and source."""
-    source = "fit to " + ", ".join(f"{r.name} (sha256 {r.sha256})" for r in train)
-    entries = {}
-    for estimate in result.estimates:
-        low, high = estimate.bounds
-        lower95, upper95 = estimate.lower95, estimate.upper95
-        entries[estimate.name] = Entry(
-            value=min(max(estimate.estimate, low), high),
-            unit=estimate.unit,
-            lower=low,
-            upper=high,
-            source=source,
-            interval95=(lower95, upper95) if lower95 is not None and upper95 is not None else None,
-            free=True,
-            at_bound=estimate.at_bound,
-        )
-    fit_table = {
-        "smajax": __version__,
-        "result": result.status.name,
-        "seed": result.seed,
-        "recordings": [r.name for r in train],
-    }
-    return parameters_text(entries, {"title": "parameters estimated by smajax fit", "fit": fit_table})
 
 
 def _parameter(entry: Mapping[str, Any]) -> Parameter:

@@ -15,6 +15,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult, MultiStartSolver
 from smajax.fitting.noise import rounding_noise
 from smajax.fitting.problem import Problem
+from smajax.fitting.residual_offsets import ResidualOffset, residual_offsets
 from smajax.numerics.ensemble import share_among_cores
 
 # Norm of the residual's projection on the free parameters' Jacobian, relative to the residual, up to which a fit is
@@ -40,12 +41,14 @@ class BaseFit(NamedTuple):
         status: Status of the solver.
         noise: Standard deviation of each channel's noise, SI, and its source.
         converged: Whether the fit is stationary.
+        offsets: Offsets of sensors that explain the residual above the noise, without any effect.
     """
 
     point: np.ndarray
     status: SolverStatus
     noise: dict[str, tuple[float, str]]
     converged: bool
+    offsets: tuple[ResidualOffset, ...] = ()
 
 
 def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:
@@ -89,7 +92,9 @@ def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:
     if best.statuses[0] is SolverStatus.failed:
         raise NumericsError("the simulation fails at the rig's own values: check them with smajax simulate")
     noise = _channel_noise(problem, base, best.residuals[0])
-    return BaseFit(problem.padded(best.points[0]), best.statuses[0], noise, converged)
+    floor = {channel: value for channel, (value, _) in noise.items()}
+    offsets = residual_offsets(base, best.residuals[0], best.jacobians[0], floor)
+    return BaseFit(problem.padded(best.points[0]), best.statuses[0], noise, converged, offsets)
 
 
 def is_stationary(problem: Problem, result: MultiStartResult) -> bool:

@@ -157,7 +157,9 @@ def _start_selection(
     base_fit = evaluator.evaluate(evaluator.base_refit(base.point, base.status))
     limit = chi2_threshold(problem.samples)
     limit = max(limit, _MIN_LIMIT_IF_ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
-    return evaluator, SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
+    state = SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
+    state.offsets = base.offsets
+    return evaluator, state
 
 
 def _prepare(

@@ -116,7 +116,8 @@ def _concluded(
     except KeyboardInterrupt:  # the effects are a result without these
         found.state.interrupted = True
     conclusion = _conclusion(found, explanation, law)
-    return summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
+    result = summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
+    return dataclasses.replace(result, offsets=without.offsets)
 
 
 def _compared_laws(

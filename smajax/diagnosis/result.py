@@ -26,6 +26,7 @@ from smajax.diagnosis.step_errors import estimate_step_error
 from smajax.diagnosis.structure import UNIFORM, Structure, structured_plant
 from smajax.files.plausible_ranges import ImplausibleValue, plausible_range
 from smajax.fitting.intervals import covariance_under_autocorrelation
+from smajax.fitting.residual_offsets import ResidualOffset
 from smajax.parameters import declarations
 from smajax.plant.plant import Plant
 from smajax.simulation.status import SimulationStatus
@@ -129,6 +130,7 @@ class Diagnosis:
         plant: The plant of ``after``; ``None`` where it was not built.
         error_budget: Errors by what was added to the model; empty if the diagnosis was stopped before.
         law: Comparison with other material laws; ``None`` where it was not asked for.
+        offsets: Offsets of sensors that explain the base fit's residual above the noise, without any effect.
     """
 
     verdict: str
@@ -162,6 +164,7 @@ class Diagnosis:
     plant: Plant | None = None
     error_budget: tuple[BudgetEntry, ...] = ()
     law: LawComparison | None = None
+    offsets: tuple[ResidualOffset, ...] = ()
 
 
 def summarise(

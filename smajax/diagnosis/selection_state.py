@@ -9,6 +9,7 @@ import numpy as np
 from smajax.diagnosis.acceptance import Rejection
 from smajax.diagnosis.candidates import AT_NOISE, CandidateFit
 from smajax.diagnosis.detectability import Detectability, NominalScore
+from smajax.fitting.residual_offsets import ResidualOffset
 
 # Significance level of the score test over the whole catalogue. experiments/diagnosis/hidden_effects.py prints the
 # false alarms where nothing is hidden.
@@ -81,6 +82,7 @@ class SelectionState:
         stage_shares: Share of the base fit's residual that each stage can explain.
         interrupted: Whether the progress callback stopped the search.
         supports: Evidence for the accepted effects, facts, and for those that are candidates (``support``).
+        offsets: Offsets of sensors that explain the base fit's residual above the noise, without any effect.
     """
 
     detectability: dict[str, Detectability]
@@ -98,6 +100,7 @@ class SelectionState:
     stage_shares: dict[str, float] = dataclasses.field(default_factory=dict)
     interrupted: bool = False
     supports: tuple[Support, ...] = ()
+    offsets: tuple[ResidualOffset, ...] = ()
 
     @property
     def accepted(self) -> tuple[str, ...]:

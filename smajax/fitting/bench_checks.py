@@ -6,7 +6,7 @@ ten, so that it holds where they are only near those of the wire.
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from smajax.channels import CHANNELS, channel_of, channel_unit
 from smajax.fitting.bench_responses import MECHANICAL, BenchResponse, bench_responses
 from smajax.fitting.bench_scales import ScaleDoubt, scale_doubt
 from smajax.fitting.noise import difference_noise
+from smajax.fitting.residual_offsets import ZERO_AS_INSTALLED, ResidualOffset
 from smajax.fitting.unknowns import Settings
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
@@ -22,9 +23,11 @@ from smajax.units import conversion
 # Thresholds without a stated reason were chosen by trial, so that no shipped recording and none of the public ones
 # has a finding, and spoiled ones have theirs (tests/unit/fitting/test_bench_checks.py).
 # Least offset as a share of a channel's range.
-_MIN_OFFSET = 0.02
-# Least offset in standard deviations of the noise, of which a quantile at 1 % may have 2.3.
-_MIN_OFFSET_NOISE = 10.0
+_MIN_OFFSET = 0.01
+# Least offset in standard errors of the median of the first rows: by chance in one of 15,000 recordings.
+_MIN_OFFSET_ERRORS = 4.0
+# Standard error of a median in that of a mean, for normal noise: the root of pi / 2.
+_MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
 # Quantiles that stand for the lowest and highest values, so that no single row decides.
 _LOW, _HIGH = 0.01, 0.99
 # First rows count as at rest while the model stays within this share of its range. Chosen by trial.
@@ -42,10 +45,11 @@ _SAME_SHAPE = 0.8
 # K. Distance of a temperature at rest from the rig's from which its unit is in doubt, and distance within which another
 # unit explains it: that of a room over a year.
 _FAR_AT_REST, _NEAR_AT_REST = 20.0, 8.0
-# Channels whose value is 0 as installed, by definition of the rig's coordinate.
-_ZERO_AS_INSTALLED = ("displacement", "angle")
 # Smallest last digit of an offset in the unit of its column; chosen so that the text stays short.
 _LEAST_DIGIT = 1e-6
+# Difference of the offsets of two recordings, in standard deviations of their noise, from which each has its own.
+# Chosen by trial; tests/unit/fitting/test_bench_checks.py has an example of each.
+OWN_OFFSETS = 10.0
 # Recordings that one sentence names.
 _NAMED = 3
 
@@ -83,6 +87,11 @@ class BenchFinding:
         return f"{self._names}: {self.text}: sensor.{self.channel}_offset is free, as --auto asks."
 
     @property
+    def unfitted_sentence(self) -> str:
+        """The finding of an offset that no training recording shows, so that a fit cannot find it."""
+        return f"{self._names}: {self.text}: no training recording shows it, so that it is not fitted."
+
+    @property
     def _names(self) -> str:
         more = f" and {len(self.recordings) - _NAMED} more" if len(self.recordings) > _NAMED else ""
         return ", ".join(self.recordings[:_NAMED]) + more
@@ -115,10 +124,10 @@ def bench_findings(plant: Plant, recordings: Sequence[Recording], settings: Sett
 
 
 def _joined(found: Sequence[BenchFinding]) -> list[BenchFinding]:
-    """One finding for each code and channel, with the recordings that show it."""
-    groups: dict[tuple[str, str], BenchFinding] = {}
+    """One finding for each code, channel and offset, with the recordings that show it."""
+    groups: dict[tuple[str, str, float], BenchFinding] = {}
     for finding in found:
-        key = finding.code, finding.channel
+        key = finding.code, finding.channel, _nearest_offset(finding, groups.values())
         first = groups.get(key)
         if first is None:
             groups[key] = finding
@@ -126,6 +135,15 @@ def _joined(found: Sequence[BenchFinding]) -> list[BenchFinding]:
             names, values = first.recordings + finding.recordings, first.values + finding.values
             groups[key] = dataclasses.replace(first, recordings=names, values=values)
     return list(groups.values())
+
+
+def _nearest_offset(finding: BenchFinding, groups: Collection[BenchFinding]) -> float:
+    """The offset of the first finding that has the same one within the noise, or its own; 0 for other findings."""
+    if not finding.values:
+        return 0.0
+    firsts = (other.values[0] for other in groups if (other.code, other.channel) == (finding.code, finding.channel))
+    near = (value for value in firsts if abs(value - finding.values[0]) <= OWN_OFFSETS * finding.noise)
+    return next(near, finding.values[0])
 
 
 def _scale_finding(recording: Recording, doubt: ScaleDoubt) -> BenchFinding:
@@ -159,7 +177,7 @@ def _channel_findings(
         findings.append(BenchFinding("unit", channel, names, text, f"check its unit, which is read as {unit}"))
     offset = _offset(plant, recording, response, channel, -1.0 if reversed_sign else 1.0)
     if offset is not None and not _explains_offset(settings, channel):
-        findings.append(_offset_finding(recording, channel, offset, reversed_sign))
+        findings.append(_offset_finding(recording, channel, *offset, reversed_sign))
     return findings
 
 
@@ -217,37 +235,40 @@ def _thermometer_findings(recording: Recording, response: BenchResponse, channel
     return []
 
 
-def _first_rows(measured: np.ndarray, model: np.ndarray) -> tuple[float, float] | None:
-    """Median of a channel while its model is at rest, and the model there; ``None`` where either is not finite."""
+def _first_rows(measured: np.ndarray, model: np.ndarray) -> tuple[float, float, int] | None:
+    """Median of a channel while its model is at rest, the model there, and the rows; ``None`` where not finite."""
     moved = np.abs(model - model[0]) > _AT_REST * np.ptp(model)
     rest = int(np.argmax(moved)) if np.any(moved) else len(model)
     first = measured[: max(rest, 1)]
-    return (
-        (float(np.nanmedian(first)), float(model[0])) if np.any(np.isfinite(first)) and np.isfinite(model[0]) else None
-    )
+    rows = int(np.sum(np.isfinite(first)))
+    return (float(np.nanmedian(first)), float(model[0]), rows) if rows and np.isfinite(model[0]) else None
 
 
-def _offset(plant: Plant, recording: Recording, response: BenchResponse, channel: str, sign: float) -> float | None:
-    """Offset of a channel that is 0 as installed, internal unit; ``None`` where the recording shows none.
+def _offset(
+    plant: Plant, recording: Recording, response: BenchResponse, channel: str, sign: float
+) -> tuple[float, float] | None:
+    """Offset of a channel that is 0 as installed, and its error, internal unit; ``None`` where there is none.
 
     The first rows and the side of rest of the whole recording have to be off by as much: a wire that is warm at first
     comes back to 0.
     """
-    if channel_of(channel) not in _ZERO_AS_INSTALLED or channel.rpartition("_")[2].isdigit():
+    if channel_of(channel) not in ZERO_AS_INSTALLED or channel.rpartition("_")[2].isdigit():
         return None
     measured, model = sign * recording.channels[channel], response.channels[channel]
     first = _first_rows(measured, model)
     if first is None:
         return None
     offset = first[0] - first[1]
-    quantiles = (_LOW,) if plant.mechanism.wires == 1 else (_LOW, _HIGH)
-    others = [float(np.nanquantile(measured, q) - np.nanquantile(model, q)) for q in quantiles]
-    least = min(abs(value) for value in (offset, *others))
     noise = difference_noise(recording.channels[channel])
-    threshold = max(_MIN_OFFSET * float(np.nanmax(measured) - np.nanmin(measured)), _MIN_OFFSET_NOISE * noise)
+    noisy = model + noise * np.random.default_rng(0).standard_normal(len(model))  # quantiles have the noise's, too
+    quantiles = (_LOW,) if plant.mechanism.wires == 1 else (_LOW, _HIGH)
+    others = [float(np.nanquantile(measured, q) - np.nanquantile(noisy, q)) for q in quantiles]
+    least = min(abs(value) for value in (offset, *others))
+    error = noise * (_MEDIAN_ERROR / math.sqrt(first[2]) if first[2] > 1 else 1.0)
+    threshold = max(_MIN_OFFSET * float(np.nanmax(measured) - np.nanmin(measured)), _MIN_OFFSET_ERRORS * error)
     if least < threshold or len({math.copysign(1.0, value) for value in (offset, *others)}) > 1:
         return None
-    return sign * offset
+    return sign * offset, error
 
 
 def _explains_offset(settings: Settings, channel: str) -> bool:
@@ -260,21 +281,49 @@ def _explains_offset(settings: Settings, channel: str) -> bool:
     )
 
 
-def _offset_finding(recording: Recording, channel: str, offset: float, reversed_sign: bool) -> BenchFinding:
+def _offset_finding(
+    recording: Recording, channel: str, offset: float, error: float, reversed_sign: bool
+) -> BenchFinding:
     unit = recording.units.get(channel, channel_unit(channel))
-    scale = float(1 / conversion(unit, channel_unit(channel))[0])
     noise = difference_noise(recording.channels[channel])
-    # Shown to the last digit that is larger than the noise of one row.
-    digits = max(0, math.floor(-math.log10(max(2.0 * noise * scale, _LEAST_DIGIT))))
-    shown = f"{offset * scale:.{digits}f}"
-    subtracted = float(shown) * (1 if reversed_sign else -1)
+    exact = float(_offset_text(recording, channel, offset, error))
+    subtracted = exact * (1 if reversed_sign else -1)
     return BenchFinding(
         "offset",
         channel,
         (recording.name,),
-        f"{channel} begins at {shown} {unit} where the rig is at 0",
+        f"{channel} begins at {float(f'{exact:.3g}'):g} {unit} where the rig is at 0",
         f"free sensor.{channel}_offset, which fit --auto (auto=True) does, or subtract it by "
-        f"offset = {subtracted:g} of {channel} under [channels]",
+        f"offset = {subtracted:.10g} of {channel} under [channels]",
         (offset,),
         noise,
     )
+
+
+def _offset_text(recording: Recording, channel: str, offset: float, error: float) -> str:
+    """An offset in the unit of the column, rounded by less than its error, so that the rounding is no offset."""
+    scale = float(1 / conversion(recording.units.get(channel, channel_unit(channel)), channel_unit(channel))[0])
+    digits = max(0, math.ceil(-math.log10(max(2.0 * error * scale, _LEAST_DIGIT))))
+    return f"{offset * scale:.{digits}f}"
+
+
+def residual_findings(
+    recordings: Sequence[Recording], offsets: Sequence[ResidualOffset], floor: Mapping[str, float], remedy: str
+) -> list[BenchFinding]:
+    """Return the offsets that a fit shows; they may be too small for the checks before it.
+
+    Args:
+        recordings: The training recordings.
+        offsets: Offsets that explain the residual.
+        floor: Noise of the residual by channel, SI.
+        remedy: What to do in addition to freeing the offset.
+    """
+    found = []
+    for channel, values, share in offsets:
+        noise, unit = floor[channel], recordings[0].units.get(channel, channel_unit(channel))
+        shown = [_offset_text(r, channel, value, noise) for r, value in zip(recordings, values, strict=True)]
+        amounts = f"an offset of {channel} of {' and '.join(shown[:_NAMED])} {unit}"
+        text = f"{amounts} explains {100.0 * share:.0f} % of what the residual has above its noise"
+        names, advice = tuple(r.name for r in recordings), f"free sensor.{channel}_offset, {remedy}"
+        found.append(BenchFinding("offset", channel, names, text, advice, values, noise))
+    return found

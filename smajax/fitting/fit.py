@@ -30,6 +30,7 @@ from smajax.fitting.multi_start import (
 )
 from smajax.fitting.noisy_inputs import FitEnd, decide_kinds, input_covariance, simulate_errors
 from smajax.fitting.problem import Problem, build_problem, require_channels
+from smajax.fitting.residual_offsets import residual_offsets
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import FitResult, Response
 from smajax.fitting.searches import Searches, Solver, check_starts, first_step_excess, search_from_starts
@@ -294,6 +295,8 @@ def _fit_result(
     result = search.result
     estimates, covariance, groups = estimates_with_intervals(problem, end.vector, result.residuals[best], end.jacobian)
     training = end.responses[:recordings]
+    floor = {c: max(noise_floor(r, c) for r in training) for c in problem.channels}
+    inside = [i for i, estimate in enumerate(estimates) if not estimate.at_bound]
     return FitResult(
         problem=problem,
         plant=end.plant,
@@ -302,7 +305,7 @@ def _fit_result(
         covariance=covariance,
         collinear_groups=tuple(groups),
         responses=tuple(end.responses),
-        noise_floor={c: max(noise_floor(r, c) for r in training) for c in problem.channels},
+        noise_floor=floor,
         cost=float(result.costs[best]),
         starts_at_best=int(np.sum(result.costs <= result.costs[best] * _SAME_COST)),
         starts=len(search.starts),
@@ -317,6 +320,7 @@ def _fit_result(
         interpolation=interpolation,
         step=step,
         discretisation_errors=end.discretisation_errors,
+        offsets=residual_offsets(problem, result.residuals[best], end.jacobian[:, inside], floor),
     )
 
 

@@ -9,6 +9,7 @@ from smajax.fitting.collinearity import CollinearGroup
 from smajax.fitting.electrical_noise import InputNoise
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.problem import Problem
+from smajax.fitting.residual_offsets import ResidualOffset
 from smajax.fitting.transformation_check import TransformationGap
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
@@ -98,6 +99,7 @@ class FitResult:
             parameter of the transformations is free.
         end_gap: The same at the estimates.
         input_noise: Noise of each electrical input, whose effect the estimates and the intervals contain.
+        offsets: Offsets of sensors that would explain a part of the residual.
     """
 
     problem: Problem
@@ -125,6 +127,7 @@ class FitResult:
     start_gap: TransformationGap | None = None
     end_gap: TransformationGap | None = None
     input_noise: tuple[InputNoise, ...] = ()
+    offsets: tuple[ResidualOffset, ...] = ()
 
     @property
     def correlation(self) -> np.ndarray:

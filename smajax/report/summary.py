@@ -161,7 +161,7 @@ def verdicts(doc: Document) -> list[str]:
 
 
 def _verdict_sentence(verdict: ResidualVerdict) -> str:
-    residual, ratio = f"The residual of {verdict.channel}", verdict.ratio
+    residual, ratio, worse = f"The residual of {verdict.channel}", verdict.ratio, verdict.holdout_ratio
     sentence = {
         ResidualCode.noise: f"{residual} is at its noise floor: the model explains all but the noise",
         ResidualCode.near_noise: (
@@ -175,9 +175,9 @@ def _verdict_sentence(verdict: ResidualVerdict) -> str:
             "global one"
         ),
     }[verdict.code]
-    if verdict.has_worse_holdout:
-        sentence += f"; the holdout is predicted {verdict.holdout_ratio:.2g} times worse than the fitted recordings"
-    return sentence + "."
+    if verdict.has_worse_holdout and worse is not None:
+        return f"{sentence}; the holdout is predicted {round(worse, 1):g} times worse than the fitted recordings."
+    return f"{sentence}."
 
 
 def rmse_rows(doc: Document) -> list[tuple[str, ...]]:

@@ -98,11 +98,12 @@ def _describe_other(file: Path, kind: str, rig: Rig) -> list[str]:
 
 def _describe_rig(rig: Rig, recordings: Sequence[Recording], auto: bool) -> list[str]:
     findings = rig_findings(rig, recordings)
-    rig = with_free_offsets(rig, findings) if auto else rig
+    fitted = [recording.name for recording in recordings] if auto else None
+    rig = with_free_offsets(rig, findings, fitted) if fitted is not None else rig
     control = rig.plant.drive.control
     heated = ", heated as its temperature is recorded" if rig.kind != "path" else ""
     drive = f", driven by {control} ({rig.interpolation} between samples)" if control else heated
-    lines = [line for entry in bench_entries(findings, auto) for line in (entry["text"], "")]
+    lines = [line for entry in bench_entries(findings, fitted) for line in (entry["text"], "")]
     lines += [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
     lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}

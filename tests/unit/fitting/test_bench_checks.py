@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import smajax as sma
 from smajax import parameters
-from smajax.api.bench import rig_findings
+from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.app import cli
 from smajax.files.rig_file import read_rig
 from smajax.fitting.bench_checks import bench_findings
@@ -147,6 +147,24 @@ def test_no_shipped_recording_is_in_doubt(folder):
     assert [finding.sentence for finding in rig_findings(rig, recordings)] == []
 
 
+@pytest.mark.parametrize("offset", [-1.5e-4, 1.5e-4])
+def test_an_offset_of_a_sixtieth_of_the_stroke_is_found_and_its_cure_is_exact(rig, recording, offset):
+    """Seven standard deviations of the noise, where the whole channel reaches 10 mm: unseen, intervals miss by 5 sigma."""
+    (finding,) = bench_findings(rig.plant, [spoiled(recording, displacement=lambda v: v + offset)], rig.fit)
+    cure = float(re.search(r"offset = (\S+) of displacement", finding.sentence)[1])
+    assert finding.code == "offset" and -1e-3 * cure == pytest.approx(finding.values[0], abs=1e-5)
+    assert finding.values[0] == pytest.approx(offset, abs=4e-5)
+
+
+def test_the_cure_of_a_large_offset_is_as_exact(rig, recording):
+    """A cure rounded to whole millimetres would leave an offset of a twentieth of the stroke."""
+    rng = np.random.default_rng(2)
+    noisy = spoiled(recording, displacement=lambda v: v + 16.45e-3 + 8e-5 * rng.standard_normal(len(v)))
+    (finding,) = bench_findings(rig.plant, [noisy], rig.fit)
+    cure = float(re.search(r"offset = (\S+) of displacement", finding.sentence)[1])
+    assert cure == pytest.approx(-16.45, abs=0.1)
+
+
 def test_a_wire_that_begins_warm_has_no_offset(rig, recording):
     """Rows from the middle begin at a stroke and come back to rest."""
     displacement = recording.channels["displacement"]
@@ -211,6 +229,26 @@ def test_a_fit_of_an_offset_is_a_failure_without_intervals_and_auto_fits_it(few,
     low, high = interval
     assert low < 12.4e-3 < high and high - low < 5e-4
     assert free.rmse["displacement"]["train"] < 1.1 * sma.fit(few, recording).rmse["displacement"]["train"]
+
+
+def test_recordings_with_different_offsets_have_sentences_of_their_own(rig, recording):
+    recordings = [
+        dataclasses.replace(spoiled(recording, displacement=lambda v, c=c: v + c), name=f"{k}.csv")
+        for k, c in enumerate((2e-3, -12.4e-3, 2e-3))
+    ]
+    findings = bench_findings(rig.plant, recordings, rig.fit)
+    assert [f.recordings for f in findings] == [("0.csv", "2.csv"), ("1.csv",)]
+    assert "begins at 1.98 mm" in findings[0].sentence and "begins at -12.4 mm" in findings[1].sentence
+    assert with_free_offsets(rig, findings, ["0.csv", "1.csv"]).fit.per_recording == ("sensor.displacement_offset",)
+    assert with_free_offsets(rig, findings, ["0.csv", "2.csv"]).fit.free[-1] == "sensor.displacement_offset"
+
+
+def test_an_offset_of_the_holdout_alone_is_not_fitted(rig, recording):
+    holdout = dataclasses.replace(spoiled(recording, displacement=lambda v: v + 2e-3), name="holdout.csv")
+    findings = bench_findings(rig.plant, [recording, holdout], rig.fit)
+    assert with_free_offsets(rig, findings, ["train.csv"]) is rig
+    (entry,) = bench_entries(findings, ["train.csv"])
+    assert entry["text"].endswith("no training recording shows it, so that it is not fitted.")
 
 
 @pytest.mark.slow

@@ -402,6 +402,7 @@ def test_numbers_of_the_summary():
         (changed(rmse__displacement__train=0.39), "19.6 times its noise floor: the model lacks something"),
         (changed(rmse__displacement__train=0.39, solver__code="interrupted"), "the fit had not converged yet"),
         (changed(rmse__displacement__holdout=0.06), "the holdout is predicted 3 times worse"),
+        (changed(rmse__displacement__holdout=2.8), "the holdout is predicted 140 times worse"),
     ],
 )
 def test_the_verdict_compares_with_noise_and_holdout(document, words):
