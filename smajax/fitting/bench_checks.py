@@ -325,5 +325,6 @@ def residual_findings(
         amounts = f"an offset of {channel} of {' and '.join(shown[:_NAMED])} {unit}"
         text = f"{amounts} explains {100.0 * share:.0f} % of what the residual has above its noise"
         names, advice = tuple(r.name for r in recordings), f"free sensor.{channel}_offset, {remedy}"
-        found.append(BenchFinding("offset", channel, names, text, advice, values, noise))
+        error = noise / math.sqrt(min(len(r) for r in recordings))  # all rows of a recording show its offset
+        found.append(BenchFinding("offset", channel, names, text, advice, values, error))
     return found

@@ -13,7 +13,8 @@ from smajax import parameters
 from smajax.api.bench import bench_entries, rig_findings, with_free_offsets
 from smajax.app import cli
 from smajax.files.rig_file import read_rig
-from smajax.fitting.bench_checks import bench_findings
+from smajax.fitting.bench_checks import bench_findings, residual_findings
+from smajax.fitting.residual_offsets import ResidualOffset
 from smajax.recordings.datasets import data_path
 from smajax.recordings.recording import Recording
 
@@ -241,6 +242,13 @@ def test_recordings_with_different_offsets_have_sentences_of_their_own(rig, reco
     assert "begins at 1.98 mm" in findings[0].sentence and "begins at -12.4 mm" in findings[1].sentence
     assert with_free_offsets(rig, findings, ["0.csv", "1.csv"]).fit.per_recording == ("sensor.displacement_offset",)
     assert with_free_offsets(rig, findings, ["0.csv", "2.csv"]).fit.free[-1] == "sensor.displacement_offset"
+
+
+def test_small_offsets_of_a_residual_that_differ_are_fitted_for_each_recording(rig, recording):
+    recordings = [dataclasses.replace(recording, name=name) for name in ("0.csv", "1.csv")]
+    offsets = [ResidualOffset("displacement", (6e-5, -6e-5), 0.98)]
+    findings = residual_findings(recordings, offsets, {"displacement": 2e-5}, "and fit again")
+    assert with_free_offsets(rig, findings, ["0.csv", "1.csv"]).fit.per_recording == ("sensor.displacement_offset",)
 
 
 def test_an_offset_of_the_holdout_alone_is_not_fitted(rig, recording):
