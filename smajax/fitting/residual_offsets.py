@@ -9,8 +9,6 @@ from smajax.fitting.problem import Problem
 
 # Channels whose value is 0 as installed, by definition of the rig's coordinate.
 ZERO_AS_INSTALLED = ("displacement", "angle")
-
-
 # Least share of the excess over the noise that offsets explain. In recordings with a sensor's offset it is 0.97 or
 # more, and at most 0.66 in those of hidden effects; tests/unit/fitting/test_residual_offsets.py has both.
 _MIN_SHARE = 0.9
@@ -37,7 +35,7 @@ def residual_offsets(
 ) -> tuple[ResidualOffset, ...]:
     """Fit an offset of each recording to the residual of a fit, to first order, in channels that are 0 as installed.
 
-    With c a column of ones over the noise in the rows of a recording, and J the Jacobian, min |r - C o - J d|^2.
+    With c a column of the weights in the rows of a recording, and J the Jacobian, min |r - C o - J d|^2.
 
     Args:
         problem: The problem.
@@ -55,17 +53,18 @@ def residual_offsets(
     if excess <= 0.0:
         return ()
     basis = np.linalg.qr(jacobian)[0]
+    errors, rows = residual.reshape(weight.shape), basis.reshape(*weight.shape, basis.shape[1])
+    along = basis.T @ residual
     for j, channel in enumerate(problem.channels):
         name = f"sensor.{channel}_offset"
         if channel_of(channel) not in ZERO_AS_INSTALLED or name in (*problem.shared, *problem.per_recording):
             continue
-        columns = np.zeros((*weight.shape, len(weight)))
-        for k in range(len(weight)):
-            columns[k, j, :, k] = weight[k, j]
-        columns = columns.reshape(residual.size, -1)
-        orthogonal = columns - basis @ (basis.T @ columns)
-        values = np.linalg.lstsq(orthogonal, residual, rcond=None)[0]
-        explained = float(np.sum((orthogonal @ values) ** 2))
+        # Normal equations of the columns c, orthogonal to J: c itself has the rows of one recording only.
+        moved = np.einsum("kt,ktp->kp", weight[:, j], rows[:, j])
+        normal = np.diag(np.sum(weight[:, j] ** 2, axis=1)) - moved @ moved.T
+        slope = np.sum(weight[:, j] * errors[:, j], axis=1) - moved @ along
+        values = np.linalg.lstsq(normal, slope, rcond=None)[0]
+        explained = float(slope @ values)
         least = len(values) * (_MIN_ERRORS * float(np.max(weight[:, j])) * floor[channel]) ** 2
         if explained >= max(least, _MIN_SHARE * excess):
             found.append(ResidualOffset(channel, tuple(map(float, values)), min(explained / excess, 1.0)))
