@@ -6,6 +6,7 @@ ten, so that it holds where they are only near those of the wire.
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
@@ -134,7 +135,18 @@ def _joined(found: Sequence[BenchFinding]) -> list[BenchFinding]:
         else:
             names, values = first.recordings + finding.recordings, first.values + finding.values
             groups[key] = dataclasses.replace(first, recordings=names, values=values)
-    return list(groups.values())
+    offsets = Counter(finding.channel for finding in groups.values() if finding.code == "offset")
+    # One offset under [channels] would hold for all recordings.
+    return [
+        dataclasses.replace(finding, remedy=_freed(finding.channel))
+        if finding.code == "offset" and offsets[finding.channel] > 1
+        else finding
+        for finding in groups.values()
+    ]
+
+
+def _freed(channel: str) -> str:
+    return f"free sensor.{channel}_offset, which fit --auto (auto=True) does"
 
 
 def _nearest_offset(finding: BenchFinding, groups: Collection[BenchFinding]) -> float:
@@ -293,8 +305,7 @@ def _offset_finding(
         channel,
         (recording.name,),
         f"{channel} begins at {float(f'{exact:.3g}'):g} {unit} where the rig is at 0",
-        f"free sensor.{channel}_offset, which fit --auto (auto=True) does, or subtract it by "
-        f"offset = {subtracted:.10g} of {channel} under [channels]",
+        f"{_freed(channel)}, or subtract it by offset = {subtracted:.10g} of {channel} under [channels]",
         (offset,),
         noise,
     )

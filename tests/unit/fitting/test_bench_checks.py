@@ -240,6 +240,9 @@ def test_recordings_with_different_offsets_have_sentences_of_their_own(rig, reco
     findings = bench_findings(rig.plant, recordings, rig.fit)
     assert [f.recordings for f in findings] == [("0.csv", "2.csv"), ("1.csv",)]
     assert "begins at 1.98 mm" in findings[0].sentence and "begins at -12.4 mm" in findings[1].sentence
+    assert all("[channels]" not in f.sentence for f in findings)  # it would hold for all three
+    (alone,) = bench_findings(rig.plant, recordings[1:2], rig.fit)
+    assert "offset = 12.4" in alone.sentence and "under [channels]" in alone.sentence
     assert with_free_offsets(rig, findings, ["0.csv", "1.csv"]).fit.per_recording == ("sensor.displacement_offset",)
     assert with_free_offsets(rig, findings, ["0.csv", "2.csv"]).fit.free[-1] == "sensor.displacement_offset"
 
