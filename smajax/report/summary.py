@@ -171,8 +171,8 @@ def _verdict_sentence(verdict: ResidualVerdict) -> str:
             f"{residual} is {ratio:.3g} times its noise floor, and the fit had not converged yet"
         ),
         ResidualCode.unexplained: (
-            f"{residual} is {ratio:.3g} times its noise floor: the model lacks something, or the minimum is not the "
-            "global one"
+            f"{residual} is {ratio:.3g} times its noise floor: the model lacks something, which smajax diagnose "
+            "looks for, or the minimum is not the global one, which more starts may find"
         ),
     }[verdict.code]
     if verdict.has_worse_holdout and worse is not None:

@@ -97,12 +97,16 @@ def fit_topics(document: Mapping[str, Any], is_bad: bool) -> list[str]:
         "noise-floor": is_bad,
         "input-noise": any(entry["kind"] not in _PLAIN_NOISE for entry in document.get("input_noise", ())),
     }
-    return [topic for topic, applies in words.items() if applies] + _bench_topics(document)
+    return [topic for topic, applies in words.items() if applies] + bench_topics(document.get("bench", ()))
 
 
-def _bench_topics(document: Mapping[str, Any]) -> list[str]:
-    """The topics that explain what the recordings show about their bench."""
-    codes = {entry["code"] for entry in document.get("bench", ())}
+def bench_topics(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the topics that explain what recordings show about their bench.
+
+    Args:
+        entries: The entries ``bench`` of a document.
+    """
+    codes = {entry["code"] for entry in entries}
     return [topic for code, topic in _BENCH_TOPICS.items() if code in codes]
 
 

@@ -15,6 +15,7 @@ import tomlkit
 
 from docs.generate.blocks import EXECUTED, OUTPUT, Block, blocks, commands
 from smajax.files.material_limits import read_catalogue, read_limits
+from smajax.files.parameter_sets import read_parameters
 from smajax.files.rig_file import read_rig
 from smajax.sweeps.sweep_file import read_sweep
 from tests.conftest import ROOT, SHARED
@@ -125,16 +126,18 @@ RIGS = {
 
 
 @pytest.mark.parametrize("page", RIGS)
-def test_the_toml_of_a_page_is_a_file_that_is_read(page, tmp_path):
+def test_the_toml_of_a_page_is_a_file_that_is_read(page, tmp_path, monkeypatch):
     """A block of some sections replaces those of the shipped file, or of the block before."""
+    monkeypatch.chdir(tmp_path)  # to which the paths of a rig in memory are relative
     folder = ROOT / "data" / "recordings" / "dead-weight"
     shutil.copy(folder / "rig.toml", tmp_path / "example.toml")
     rig, sweep = tomllib.loads((folder / "rig.toml").read_text("utf-8")), {}
     for block in RIGS[page]:
         if block.get("schema") == "smajax.parameters/1":
-            path = tmp_path / "set.toml"
+            path = tmp_path / "my-alloy.toml"
             path.write_text(tomlkit.dumps(block), "utf-8")
-            assert read_limits(path, "set") is not None and read_catalogue(path, "set") is not None
+            names = read_parameters(path)
+            assert names or (read_limits(path, "set") is not None and read_catalogue(path, "set") is not None)
         elif "sweep" in block:
             sweep = block if "schema" in block else merged(sweep, block)
             (tmp_path / "bench").mkdir(exist_ok=True)

@@ -31,6 +31,7 @@ from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
 from smajax.report.shown_values import format_in_unit
 from smajax.report.summary import table
+from smajax.report.topics import bench_topics, explained
 from smajax.simulation.step_size import default_step
 from smajax.units import as_text
 
@@ -103,7 +104,9 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording], auto: bool) -> list
     control = rig.plant.drive.control
     heated = ", heated as its temperature is recorded" if rig.kind != "path" else ""
     drive = f", driven by {control} ({rig.interpolation} between samples)" if control else heated
-    lines = [line for entry in bench_entries(findings, fitted) for line in (entry["text"], "")]
+    entries = bench_entries(findings, fitted)
+    lines = [line for entry in entries for line in (entry["text"], "")]
+    lines += [*explained(bench_topics(entries))[1:], ""] if bench_topics(entries) else []
     lines += [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
     lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}
