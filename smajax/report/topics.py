@@ -19,8 +19,8 @@ NOT_CONVERGED = ("interrupted", "steps", "diverged")
 _PLAIN_NOISE = ("none", "no-plateaus")
 # Findings about a bench, by their code, and the topic that explains them.
 _BENCH_TOPICS = {"sign": "displacement", "offset": "sensor"}
-# Last line of a topic: the page of the documentation with more.
-_PAGE = re.compile(r"\n+Page: \[([^\]]+)\]\([^)]*\)\s*$")
+# Last lines of a topic: further words that it explains, if there are any, and the page of the documentation with more.
+_PAGE = re.compile(r"(?:\n+Words: ([a-z, -]+))?\n+Page: \[([^\]]+)\]\([^)]*\)\s*$")
 
 
 class Topic(NamedTuple):
@@ -31,12 +31,14 @@ class Topic(NamedTuple):
         title: What it is about.
         text: The text as Markdown.
         page: Page of the documentation with more, below docs.
+        words: Further words for ``smajax explain`` that it explains.
     """
 
     name: str
     title: str
     text: str
     page: str
+    words: tuple[str, ...] = ()
 
 
 def read_topics() -> dict[str, Topic]:
@@ -50,7 +52,8 @@ def _read(name: str, text: str) -> Topic:
     if page is None:
         raise ValueError(f"data/topics/{name}.md does not end with a line 'Page: [PAGE](PAGE)'")
     title, _, body = text[: page.start()].partition("\n")
-    return Topic(name, title.removeprefix("# "), body.strip(), page[1])
+    words = tuple(word.strip() for word in (page[1] or "").split(",") if word.strip())
+    return Topic(name, title.removeprefix("# "), body.strip(), page[2], words)
 
 
 def plain_text(text: str) -> str:

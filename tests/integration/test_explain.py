@@ -3,6 +3,7 @@
 import inspect
 import re
 import tomllib
+from typing import get_args
 
 import pytest
 from typer.testing import CliRunner
@@ -15,6 +16,7 @@ from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
 from smajax.report import diagnosis_page, pages
 from smajax.report import topics as named
+from smajax.report.documents.diagnosis import DiagnosisDocument
 from tests.conftest import ROOT
 
 
@@ -41,6 +43,17 @@ def test_the_list_has_all_of_them():
 def test_words_may_be_written_as_in_the_message():
     assert smajax("explain", "at", "bound").stdout == smajax("explain", "at-bound").stdout != ""
     assert "half of the play" in smajax("explain", "Backlash").stdout
+
+
+def test_words_that_a_topic_explains_are_found():
+    topics = named.read_topics()
+    words = [word for topic in topics.values() for word in topic.words]
+    assert len(words) == len(set(words)) and not set(words) & {*topics, *catalogue()}
+    for verdict in get_args(DiagnosisDocument.model_fields["verdict"].annotation):
+        text = explain_text(verdict)
+        assert text == explain_text("verdict") and f"- {verdict}: " in text
+    assert explain_text("at its bound") == explain_text("at-bound")
+    assert "Words:" not in "".join(topic.text for topic in topics.values())
 
 
 @pytest.mark.parametrize(

@@ -35,12 +35,13 @@ def explain_text(name: str | None = None) -> str:
         keys = wrap(f"Effects: {', '.join(sorted(effects))}", TEXT_WIDTH, break_on_hyphens=False)
         return "\n".join([*lines, "", *keys, "", "smajax explain TOPIC describes one of them."])
     key = re.sub(r"[\s_]+", "-", name.strip().lower())
-    if key in words:
-        topic = words[key]
+    others = {word: topic for topic in words.values() for word in topic.words}
+    topic = words.get(key) or others.get(key)
+    if topic:
         return f"{topic.title}\n\n{plain_text(topic.text)}\n\nMore: docs/{topic.page}"
     if key in effects:
         return "\n".join([*effect_lines(key, effects[key]), "", "More: docs/reference/effects.md"])
-    names = [*words, *effects]
+    names = [*words, *others, *effects]
     near = list(dict.fromkeys([*(n for n in names if key in n), *get_close_matches(key, names, _NEAR, _SIMILARITY)]))
     hint = f" (near it: {', '.join(near[:_NEAR])})" if key and near else ""
     raise InputError(f"there is no topic '{name}'{hint}: 'smajax explain' lists those that there are")
