@@ -22,6 +22,9 @@ from docs.generate.results import insert_results  # noqa: E402
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
+TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
+# Columns from which stylesheets/site.css shows a table as lists on narrow screens.
+LISTED_COLUMNS = 4
 # An address that a browser loads when the page opens; a link that a reader follows is none.
 LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
 # End of a sentence before a literal block, which docstrings mark by two colons.
@@ -65,8 +68,22 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
-    """Convert formulas to MathML."""
-    return LITERAL.sub(":", FORMULA.sub(_mathml, content))
+    """Convert formulas to MathML, and name the columns in the cells of tables that narrow screens show as lists."""
+    return TABLE.sub(_labelled, LITERAL.sub(":", FORMULA.sub(_mathml, content)))
+
+
+def _labelled(match: re.Match[str]) -> str:
+    """Return a table of four columns or more whose cells have the names of their columns, but for the first."""
+    heads = re.findall(r"<th\b[^>]*>(.*?)</th>", match[0])
+    names = ["", *(re.sub(r"<[^>]+>", "", head).strip().replace('"', "&quot;") for head in heads[1:])]
+    if len(heads) < LISTED_COLUMNS:
+        return match[0]
+
+    def row(cells: re.Match[str]) -> str:
+        labels = iter(names)
+        return re.sub(r"<td\b", lambda _: f'<td data-label="{name}"' if (name := next(labels, "")) else "<td", cells[0])
+
+    return re.sub(r"<tr>.*?</tr>", row, match[0], flags=re.DOTALL)
 
 
 def _target(link: str, source: str) -> str:

@@ -18,6 +18,7 @@ from docs.generate.markdown import code, table
 from smajax.control.controller_file import schema as controller
 from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.files import channel_settings, rig_schema, rig_structure
+from smajax.files.recording_settings import RecordingSection
 from smajax.files.rig_kinds import choose_stages
 from smajax.files.validators import OneOf
 from smajax.parameters.definitions import Declaration
@@ -30,6 +31,20 @@ from smajax.sweeps import schema as sweep
 
 HEAD = ("key", "type, default, bounds", "meaning", "example")
 KINDS = {str: "text", int: "whole number", float: "number", bool: "true or false", list: "list", dict: "table"}
+# Examples of gains, for a current and a displacement.
+GAINS = {
+    "kp": '"30 A/m"',
+    "ki": '"10 A/m/s"',
+    "kd": '"0.5 A s/m"',
+    "filter_time": '"50 ms"',
+    "kb": '"100 1/m"',
+    "tuning_point": '"4 mm"',
+    "kp_rest": '"20 A/m"',
+    "band": '"0.2 mm"',
+    "rate_p": "0.1",
+    "rate_i": "0.1",
+    "rate_d": "0.001",
+}
 # Sections of parameters in the order of a rig file.
 ORDER = ("wire", "material", "heat", "drive", "environment", "initial", "cells", "grains")
 
@@ -100,8 +115,10 @@ def _row(key: str, field: FieldInfo) -> tuple[str, str, str, str]:
     default = field.get_default(call_default_factory=True) if not field.is_required() else None
     if field.is_required():
         facts.append("required")
-    elif default not in (None, [], {}):
-        facts.append(f"{_toml(default)} by default")
+    elif default in ([], {}):
+        facts.append("empty by default")
+    else:
+        facts.append("may be left out" if default is None else f"{_toml(default)} by default")
     example = str(field.examples[0]) if field.examples else (_toml(default) if default is not None else "")
     return code(key), "; ".join(fact for fact in facts if fact), field.description or "", code(example)
 
@@ -160,9 +177,16 @@ def _example(name: str, declared: Declaration) -> str:
     """A value of a shipped rig file, else the default, else the unit."""
     if name in _shipped_values():
         return _toml(_shipped_values()[name])
-    if declared.default is not None and not math.isnan(declared.default):
-        return f'"{value_text(declared.default, declared.unit)}"'
-    return f'"... {declared.unit}"'
+    number = declared.default if declared.default is not None else math.nan
+    return f'"{value_text(number if math.isfinite(number) else _inside(declared), declared.unit)}"'
+
+
+def _inside(declared: Declaration) -> float:
+    """A number of one digit within the bounds of a parameter that has no usual value."""
+    if declared.lower <= 0.0 <= declared.upper:
+        return min(1.0, declared.upper)
+    upper = declared.upper if math.isfinite(declared.upper) else 100.0 * declared.lower
+    return float(f"{math.copysign(math.sqrt(declared.lower * upper), declared.lower):.0e}")
 
 
 @functools.cache
@@ -229,19 +253,17 @@ def _sensor_section() -> str:
 
 
 def _recording_section() -> str:
-    import dataclasses
-
     text = inspect.cleandoc(ReadOptions.__doc__ or "")  # Python 3.13 removes the indentation itself
     described = dict(re.findall(r"^    (\w+): ((?:.|\n        )+)", text, re.MULTILINE))
     rows = [
         (
-            code(field.name),
-            "" if field.default in (None, ()) else f"{_toml(field.default)} by default",
-            described[field.name].replace("``", "`"),
+            *_row(name, field)[:2],
+            " ".join(described[name].replace("``", "`").split()),
+            _row(name, field)[3],
         )
-        for field in dataclasses.fields(ReadOptions)
+        for name, field in RecordingSection.model_fields.items()
     ]
-    return "\n## [recording] { #recording }\n\n" + table(("key", "default", "meaning"), rows)
+    return "\n## [recording] { #recording }\n\n" + table(HEAD, rows)
 
 
 def _gains() -> str:
@@ -251,7 +273,11 @@ def _gains() -> str:
     rows = []
     for kind in file_kinds():
         for name, declared in declarations(controller_class(kind)).items():
-            rows.append((code(kind), code(name), declared.meaning))
-    return '\n## [gains] { #gains }\n\nUnits follow from drive and channel, as in `kp = "30 A/m"`.\n\n' + table(
-        ("kind", "key", "meaning"), rows
-    )
+            if name in ("lower", "upper"):  # controller.output
+                continue
+            lower = "at least 0; " if declared.lower == 0.0 else ""
+            state = "required" if declared.default is None else f"{declared.default:g} by default"
+            facts = f"quantity in {declared.unit}; {lower}{state}"
+            rows.append((code(kind), code(name), facts, declared.meaning, code(GAINS[name])))
+    note = "`u` is the unit of the command and `y` that of the channel: A and m in the examples."
+    return f"\n## [gains] {{ #gains }}\n\n{note}\n\n" + table(("kind", *HEAD), rows)

@@ -1,13 +1,15 @@
 """Markdown: tables whose cells cannot break them, and texts of docstrings."""
 
 import inspect
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 
 def cell(text: Any) -> str:
     """Return a text as the content of a cell."""
-    return " ".join(str(text).split()).replace("|", "\\|") or "-"
+    parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))  # a bar within code is no border
+    return "".join(part if part.startswith("`") else part.replace("|", "\\|") for part in parts) or "-"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -2,7 +2,7 @@
 
     python experiments/docs/held_out.py [--json FILE] [--out DIR]
 
-It shows the measured and the modelled contraction, and fifty times their difference.
+It shows the measured and the modelled contraction, and below them their difference.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments, finish, read_shipped
-from experiments.common.charts import Chart, Curve, draw
+from experiments.common.charts import Chart, Curve, write_panels
 
 import numpy as np
 
@@ -32,14 +32,15 @@ def main() -> None:
     curves = [
         Curve("measured", holdout.time[part], measured[part]),
         Curve("model", holdout.time[part], model[part], dashed=True),
-        Curve("50 x (measured - model)", holdout.time[part], 50 * (measured - model)[part]),
+    ]
+    residual = [Curve("residual", holdout.time[part], (measured - model)[part])]
+    charts = [
+        Chart("Held-out recording of a wire lifting 0.2 kg", "time [s]", "contraction [mm]", curves),
+        Chart("Residual", "time [s]", "measured - model [mm]", residual),
     ]
     folder = args.out or ROOT / "docs" / "images"
     folder.mkdir(parents=True, exist_ok=True)
-    draw(
-        Chart("Held-out recording of a wire lifting 0.2 kg", "time [s]", "contraction [mm]", curves), folder, "held_out"
-    )
-    (folder / "held_out.html").unlink()
+    write_panels(charts, folder / "held_out.svg")
     rmse, noise = result.rmse("displacement", "holdout") or np.nan, result.noise_floor["displacement"]
     rows = [
         Row(

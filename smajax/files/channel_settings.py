@@ -79,7 +79,9 @@ class Layout(BaseModel):
     """The keys that are not channels; those of ``OLD_KEYS`` are read by ``recording_options``."""
 
     model_config = STRICT
-    unit: Any = Field(None, description="unit of the only mapped channel, or a table of units by channel")
+    unit: Any = Field(
+        None, examples=['"mm"'], description="unit of the only mapped channel, or a table of units by channel"
+    )
     ignore: list[str] = Field(
         [], examples=['["Operator", "Remarks"]'], description="headers of columns that are no channels"
     )

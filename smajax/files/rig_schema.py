@@ -24,7 +24,7 @@ class RigSection(BaseModel):
     control: Annotated[str, one_of(lambda: (*rig_classes().drives, PRESCRIBED_TEMPERATURE))] | None = Field(
         None,
         examples=['"current"'],
-        description="electrical input of the recordings, or a prescribed temperature; not for a path",
+        description="electrical input of the recordings, or a prescribed temperature; needed by every kind but path",
     )
     interpolation: Annotated[str, one_of(INTERPOLATIONS)] = Field(
         "hold", description="the input between samples: hold keeps the last value, linear interpolates"

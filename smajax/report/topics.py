@@ -139,5 +139,6 @@ def diagnosis_topics(document: Mapping[str, Any]) -> list[str]:
         "verdict": True,
         "equivalent": any(document["equivalent"].values()),
         "candidate": bool(document.get("candidates")),  # absent in documents of earlier versions
+        "free-parameters": document.get("verdict") in ("partial", "unresolved"),
     }
     return [*(topic for topic, applies in words.items() if applies), *document["effects"]]

@@ -83,6 +83,8 @@ def test_a_fit_at_a_bound_names_its_topics():
 def test_a_diagnosis_names_its_effects():
     document = {"equivalent": {"backlash": ["slack"]}, "candidates": [], "effects": ["backlash"]}
     assert named.diagnosis_topics(document) == ["verdict", "equivalent", "backlash"]
+    partial = named.diagnosis_topics(document | {"verdict": "partial"})
+    assert partial == ["verdict", "equivalent", "free-parameters", "backlash"]
 
 
 def test_messages_name_topics_that_exist():

@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 import smajax
-from docs.generate import api, bibliography, effect_equations, keys, outputs, pages
+from docs.generate import api, bibliography, effect_equations, keys, markdown, outputs, pages
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, rig_schema, rig_structure
 from smajax.files.rig_file import read_rig
@@ -65,6 +65,10 @@ def test_the_rig_page_has_sections_bounds_and_shipped_examples():
     row = next(line for line in text.splitlines() if line.startswith("| `diameter` |"))
     assert "0.001 mm to 20 mm; required" in row and '"0.15 mm"' in row
     assert "glove-finger; required" in next(line for line in text.splitlines() if line.startswith("| `kind` |"))
+    assert "list of texts; empty by default" in next(
+        line for line in text.splitlines() if line.startswith("| `free` |")
+    )
+    assert '"...' not in text, "an example is a value"
 
 
 def test_the_catalogue_has_a_section_for_each_effect():
@@ -143,6 +147,24 @@ def test_formulas_become_mathml_and_pages_load_nothing():
     assert not hook.LOADED.search(
         '<a href="https://example.org"><script src="../a.js"><link rel="canonical" href="https://a">'
     )
+
+
+def test_cells_of_wide_tables_have_the_names_of_their_columns():
+    pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
+    pytest.importorskip("mkdocs")
+    from docs.generate import hook
+
+    head, row = "<tr>{}</tr>".format("<th>{}</th>" * 4), "<tr>{}</tr>".format('<td style="x">1</td>' * 4)
+    content = hook.on_page_content(
+        f"<table>{head.format('a', '<code>b</code>', '', 'd')}{row}</table>", None, None, None
+    )
+    assert re.findall(r"<td( data-label=\"\w+\")? style", content) == ["", ' data-label="b"', "", ' data-label="d"']
+    narrow = "<table><tr><th>a</th><th>b</th></tr><tr><td>1</td><td>2</td></tr></table>"
+    assert hook.on_page_content(narrow, None, None, None) == narrow
+
+
+def test_a_bar_in_code_is_no_border():
+    assert markdown.cell("`a | b` | c") == "`a | b` \\| c"
 
 
 @pytest.mark.slow

@@ -174,7 +174,7 @@ class ReferenceSection(BaseModel):
 
     model_config = STRICT
     kind: Annotated[str, one_of(("step", "staircase", "sine", "recorded"))] = Field(
-        description="step, staircase, sine or recorded"
+        examples=['"staircase"'], description="shape over time"
     )
     duration: Any = Field(None, examples=['"60 s"'], description="length of the rollout")
     low: Any = Field(
