@@ -63,7 +63,7 @@ def _report_usage_error(error: Any) -> int:
     if not message.strip():  # the help, which is printed already
         return int(error.exit_code)
     command = context.command_path if context is not None else "smajax"
-    words = message.strip().rstrip(".").replace("Value error, ", "")
+    words = " ".join(message.split()).rstrip(".").replace("Value error, ", "")
     say_on_stderr(f"{words[:1].lower()}{words[1:]}: '{command} --help' shows what it takes")
     return int(error.exit_code)
 

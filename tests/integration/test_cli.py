@@ -834,3 +834,8 @@ def test_the_data_sets_are_listed_and_found(shared, monkeypatch):
     monkeypatch.setenv("SMAJAX_DATA", str(shared / "data"))
     assert smajax("datasets", "get", "bu-softlimb").stdout.strip() == str(shared / "data" / "bu-softlimb")
     assert "it holds holdout.csv, rig.toml, select.csv, train.csv" in smajax("datasets", "get", "dead-weight").stderr
+
+
+def test_a_missing_argument_is_one_sentence_with_its_choices():
+    message = sentence(smajax("init"), 2)
+    assert "\\" not in message and "Choose from: dead-weight, bias-spring, " in message
