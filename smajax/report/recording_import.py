@@ -13,7 +13,7 @@ from smajax.recordings.recording import Recording
 from smajax.report.summary import table
 
 # Width of the text in columns of a terminal, and least width of the last column of a table.
-_WIDTH = 118
+_WIDTH = 110
 _LEAST_WIDTH = 40
 # Width of the other columns of a table, beyond which their texts go on in the next line.
 _CELL_WIDTH = 36
@@ -73,7 +73,8 @@ def _rig_lines(draft: RigDraft | str) -> list[str]:
     for assumption in draft.assumptions:
         if assumption.is_fitted:
             text += f"For the same reason {assumption.name} is fitted, from {assumption.value} on. "
-    text += f"Give what you know, as in --set '{example}' (values in Python), or correct it in the file."
+    text += f"Give what you know, as in --set '{example}' (values in Python), or correct it in the file. "
+    text += "Of another alloy, free more: smajax explain free-parameters."
     return [*lines, *wrap(text, _WIDTH, break_long_words=False, break_on_hyphens=False)]
 
 

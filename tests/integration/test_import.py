@@ -99,6 +99,8 @@ def test_the_command_states_its_doubts_and_writes_three_files(log):
     assert "Doubts:\n1. load cell: the whole numbers 761 to 800 are counts of a converter" in result.stdout
     assert "Otherwise give for example --channel 'load cell = force [N] factor=0.01 offset=0'" in result.stdout
     assert 'duty = {column = "pwm", full_scale = 255.0}' in result.stdout
+    assert "smajax explain free-parameters" in " ".join(result.stdout.split())
+    assert max(map(len, result.stdout.splitlines())) <= 110
     names = ["log-recording.csv", "log-rig.toml", "log-sections.toml", "log.csv"]
     assert sorted(path.name for path in Path().iterdir()) == names
     assert result.stdout.endswith(
