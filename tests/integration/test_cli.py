@@ -559,6 +559,7 @@ def test_a_failed_simulation_is_code_3_and_saves_its_rows(bench, tmp_path):
     assert (tmp_path / "out" / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_failed_fit_is_code_3_with_the_reason_in_the_result(bench, tmp_path):
     (tmp_path / "runaway.toml").write_text(
         re.sub(r'h2 = "[^"]*"', 'h2 = "-0.5 W/m^2/K^3"', (bench / "rig.toml").read_text())
@@ -720,6 +721,7 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_commands_that_init_prints_name_files_that_it_wrote(kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -754,6 +756,7 @@ def test_check_describes_the_fit(bench):
     assert "current [mA] (input), displacement [mm] (observed)" in text
 
 
+@pytest.mark.slow
 def test_check_reads_controllers_and_sweeps_and_lists_effects(tmp_path):
     assert smajax("init", "dead-weight", "--out", tmp_path).exit_code == 0
     rig, controller, sweep = (tmp_path / f"{name}.toml" for name in ("example", "controller", "sweep"))

@@ -72,6 +72,7 @@ class TanhLaw(AbstractBandKinetics):
         return 0.5 - 0.5 * jnp.tanh(self.steepness * (progress - 0.5)) / full
 
 
+@pytest.mark.slow
 def test_an_own_material_is_fitted_and_written_and_used_from_a_rig_file():
     register("material", "tanh", TanhLaw)
     text = with_fit("tanh", ["heat.h0", "material.max_transformation_strain", "material.steepness"])

@@ -74,6 +74,7 @@ def test_the_help_of_the_package_lists_the_public_names_on_its_first_screen():
     assert set(sma.__all__) - {"__version__"} <= listed and len(lines) <= 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sma._SUBPACKAGES)
 def test_public_modules_are_attributes_as_the_help_says(name):
     """They cannot be submodules: the top of the package has no folder for them."""
@@ -167,6 +168,7 @@ def stop_at_tanaka(event):
         raise StopIteration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "reason"),
     [
@@ -219,6 +221,7 @@ def test_a_tuning_that_is_stopped_is_saved_with_the_best_gains(text, tmp_path):
     assert (loaded.exit_code, loaded.reason, loaded.gains) == (130, study.reason, study.gains)
 
 
+@pytest.mark.slow
 def test_a_tuning_that_is_stopped_before_its_first_step_has_no_gains():
     def stop(event):
         if event.can_stop:

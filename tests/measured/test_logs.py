@@ -104,6 +104,7 @@ def test_a_forecast_is_compared_with_the_mean_that_nobody_knows():
     assert row.met is False and "is as good or better" in row.measured
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["measured/guarneros", "measured/dongsus"])
 def test_a_missing_log_is_refused(name, tmp_path):
     words = [str(tmp_path / "nowhere.csv")] * (2 if name.endswith("guarneros") else 1)
@@ -185,6 +186,7 @@ def test_a_log_that_cools_after_its_heating_is_held_out_to_its_end(tmp_path):
     np.testing.assert_array_equal(ahead, np.arange(count - 24))  # each by the fit of the rows up to 25 before
 
 
+@pytest.mark.slow
 def test_a_forecast_uses_no_reading_after_its_origin(shared):
     import dataclasses
 

@@ -391,6 +391,7 @@ def test_a_rotary_run_goes_on_from_any_row():
         assert run.temperature[-1] == pytest.approx(whole.temperature[k + 1], abs=1e-8)
 
 
+@pytest.mark.slow
 def test_the_fast_loop_converges_to_the_exact_rigs():
     time, current = np.arange(1001) / 50, levels(np.random.default_rng(7), 1001, 75, 0.2, 0.34)
     material = MATERIAL._replace(thermal_expansion_martensite=11e-6)

@@ -69,6 +69,7 @@ def test_smaller_steps_change_less_than_the_noise(name, hidden):
     assert np.max(np.abs(usual - finest)) < 3.0 * noise
 
 
+@pytest.mark.slow
 def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
     time, current = levels()
     runs = [simulate(WEIGHT, rough("weight"), NOTHING, time, current, n).temperature for n in (2, 4, 8, 32)]

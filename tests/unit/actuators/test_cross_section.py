@@ -64,6 +64,7 @@ def test_squares_hold_the_circle_and_gaps_are_filled():
     assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_slab_cools_as_its_series_says():
     """One material, uniformly warm: a plane wall with convection on both sides. The error falls with the square of the cells' size."""
     h, k, density, heat, thickness = 300.0, 0.5, 1500.0, 1200.0, 1.6e-3
@@ -153,6 +154,7 @@ def test_narrow_gaps_keep_the_heat():
         np.testing.assert_allclose(slopes, (above - below) / (2e-6 * length), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "cells"),
     [
@@ -216,6 +218,7 @@ def test_wires_side_by_side_are_those_of_the_whole_section():
     assert share[1] == pytest.approx(whole[1], rel=2e-3) and share[2] == pytest.approx(whole[2], abs=0.02)
 
 
+@pytest.mark.slow
 def test_gradients_forward_and_reverse():
     """In diameter, count, conductivity, convection, offset, thickness and target temperature."""
 
@@ -252,6 +255,7 @@ def test_gradients_forward_and_reverse():
     np.testing.assert_allclose(above[3], cool(alone)[1:], rtol=1e-12)  # in a batch as alone
 
 
+@pytest.mark.slow
 def test_gradient_in_the_spacing():
     """Of wires that lie within a section with open sides, where their number stays."""
 

@@ -52,6 +52,7 @@ def roll(knee: Knee):
     return knee.trajectory(SHARE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", STATES)
 def test_agrees_with_scipy(knee, state):
     result = roll(commanded(knee, state))
@@ -68,6 +69,7 @@ def test_agrees_with_scipy(knee, state):
         assert quicker[4] == pytest.approx(true[4], abs=5e-3 * np.ptp(true[4]))
 
 
+@pytest.mark.slow
 def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
     motor, hybrid = commanded(knee, "motor"), commanded(knee, "hybrid")
     locked = exact(knee).locked(1.0, np.asarray(SHARE))

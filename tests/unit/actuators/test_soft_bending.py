@@ -64,6 +64,7 @@ def followed(pull: float, turn: float, steps: int) -> np.ndarray:
     return state[[2, 3, 0], -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [-1000.0, -500.0, -200.0, -100.0, -20.0, 10.0, 100.0, 500.0])
 def test_elastica_is_that_which_comes_of_loads_that_grow(force: float):
     pull, turn = force * 0.12**2 / 0.0308, 0.7687
@@ -168,6 +169,7 @@ def test_wires_that_do_not_fit_into_the_bar_are_no_design():
     assert np.array_equal(np.isnan(result["cold_strain"]), [False, True, True])
 
 
+@pytest.mark.slow
 def test_soft_bending_figures():
     """The free tip turns by the published 44.04 degrees, for which the memory shape was chosen; a cable turns it back."""
     actuator = actuator_file.read_actuator(data_path("actuators", "soft-bending", "rig.toml"))

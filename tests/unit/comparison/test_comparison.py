@@ -81,6 +81,7 @@ def test_models_are_ranked_by_their_predictions(short, tmp_path):
     assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
 
 
+@pytest.mark.slow
 def test_parameters_at_a_bound_are_listed(short, tmp_path):
     """A law with bounds that exclude the true value, and a displacement that precedes its input."""
     text = (

@@ -134,6 +134,7 @@ def test_the_c_header_gives_the_printed_metrics_for_ten_draws_of_the_noise(print
             assert metrics[name] <= document["case_check"]["worst"][name]["value"] * (1.0 + 1e-3)
 
 
+@pytest.mark.slow
 def test_a_start_at_another_reference_is_another_loop(printed):
     """The derivative of the error has a kick where the loop begins below its first reference; cases have all starts."""
     settings, check, _, folder = printed
@@ -151,6 +152,7 @@ def avr_reason() -> str:
     return f"not installed: {', '.join(missing)} (Debian: gcc-avr, avr-libc, simavr)" if missing else ""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(avr_reason()), reason=avr_reason())
 def test_the_header_runs_on_an_arduino(printed, tmp_path):
     """In single precision on a simulated ATmega328P: the commands are those in double precision, within a milliampere."""

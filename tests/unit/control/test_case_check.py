@@ -312,6 +312,7 @@ def test_the_default_objective_bounds_the_overshoot(tmp_path):
     assert float(terms[0, TERMS.index("overshoot")]) == pytest.approx(expected, rel=1e-9) and expected > 0.0
 
 
+@pytest.mark.slow
 def test_the_loop_gain_is_reduced_to_the_usual_margins(tmp_path):
     """Where a smaller gain has the usual margins at little cost; not where the objective grows by more than a tenth."""
     task = task_of(tmp_path)

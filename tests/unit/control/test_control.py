@@ -171,6 +171,7 @@ def hip(name: str, dt: float) -> SampledTransferFunction:
     return SampledTransferFunction.of(TransferFunction(*values, structure="underdamped"), "angle", dt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values"),
     [("flexion", (106.6546, 438.3960, 622.1917, 647.9679)), ("extension", (0.0, 0.00225005, 0.00355180, 0.00319901))],
@@ -184,6 +185,7 @@ def test_open_loop_of_the_hip(name, values, dt):
     np.testing.assert_allclose(angles, values, rtol=2e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "pid_gains", "seconds", "rise", "settling", "overshoot", "sensitivity"),
     [
@@ -309,6 +311,7 @@ def test_derivatives_of_controllers_with_flags(driven):
         assert float(jax.jit(jax.jacfwd(cost))(point)) == pytest.approx(central, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_batch_of_rollouts_is_its_members(driven):
     masses = jnp.asarray([0.15, 0.2, 0.3])
     scenario = Scenario.noiseless(stairs(6.0))
@@ -322,6 +325,7 @@ def test_a_batch_of_rollouts_is_its_members(driven):
         np.testing.assert_allclose(member, single, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_temperature_limiter_keeps_the_wire_below_its_limit(driven):
     active_limiter = TemperatureLimiter(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
     scenario = Scenario.noiseless(np.full(1500, 8e-3))

@@ -161,6 +161,7 @@ def test_a_plant_in_numpy_takes_the_same_steps(name):
     assert np.ptp([r[0] for r in rows]) > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_a_controller_in_numpy_gives_the_same_commands(name):
     controller = CONTROLLERS[name]

@@ -221,6 +221,7 @@ def test_a_temperature_limiter_measures_by_its_thermocouple():
     assert np.max(np.abs(central)) > 1.0
 
 
+@pytest.mark.slow
 def test_a_loop_with_gyroscope_and_tilt_sensor():
     """The command moves much less with the filter than with the noisy tilt alone, in spite of the gyroscope's bias."""
     period, count = 0.05, 1200

@@ -105,6 +105,7 @@ def series():
     return 2e-3 + 1e-4 * np.cumsum(np.random.default_rng(0).standard_normal((2, 200)), axis=1)
 
 
+@pytest.mark.slow
 def test_it_is_tuned_from_its_file(study):
     controller = study.tuned.loop.controller
     assert isinstance(controller, DeadBandPI) and controller.leak == 0.999
@@ -131,6 +132,7 @@ def check_in_c(tmp_path, controller, text):
     assert np.ptp(u) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 def test_its_c_header_does_the_same(tmp_path, study):
     text = export_files(study).contents["controller.h"].decode()
@@ -153,6 +155,7 @@ def test_a_static_number_on_which_python_branches_is_a_literal_in_c(tmp_path):
     check_in_c(tmp_path, branching, text)
 
 
+@pytest.mark.slow
 def test_its_fmu_does_the_same(tmp_path, study):
     pytest.importorskip("fmpy")
     exports = export_files(study)
@@ -178,6 +181,7 @@ def test_its_fmu_does_the_same(tmp_path, study):
     np.testing.assert_allclose(np.load(tmp_path / "commands.npy"), expected, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_its_document_has_kind_gains_constants_and_state(study):
     document = json.loads(export_files(study).contents["controller.json"])
     assert document["kind"] == "dead-band-pi" and document["period_s"] == PERIOD and document["output"] == [0.0, 0.5]

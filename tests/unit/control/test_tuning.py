@@ -97,6 +97,7 @@ def test_the_hip_settles_sooner_than_by_a_population():
     assert [s for _, s in result.history] == sorted((s for _, s in result.history), reverse=True)
 
 
+@pytest.mark.slow
 def test_the_shortest_settling_time_keeps_a_limit_that_the_smallest_terms_violate(tmp_path):
     (tmp_path / "c.toml").write_text(FILE)
     task = read_controller(tmp_path / "c.toml", read_rig(RIG))
@@ -108,11 +109,13 @@ def test_the_shortest_settling_time_keeps_a_limit_that_the_smallest_terms_violat
     assert result.feasible and result.settling < longest_settling(problem, unlimited, 0.02)
 
 
+@pytest.mark.slow
 def test_a_settling_limit_that_cannot_be_kept_gives_the_shortest_settling_time():
     result = tune(hip_problem(), {"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02})
     assert not result.feasible and result.settling < 21.5 and result.violations["overshoot"] <= 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weights", "limits", "settle", "stop"),
     [
@@ -211,6 +214,7 @@ def _wanted(overshoot):
     return make_objective({"itae": 1.0}, {"overshoot": overshoot})
 
 
+@pytest.mark.slow
 def test_weights_trade_one_term_for_another():
     problem = hip_problem(seconds=60.0)
     wild, calm = (tune(problem, {"tracking": 1.0, "effort": w}, {}) for w in (0.0, 0.2))
@@ -295,6 +299,7 @@ def test_quadratic_models_continue_where_gradients_are_meaningless(monkeypatch):
     assert rough(tune(problem, {"tracking": 1.0}, {}).point) > 2.0
 
 
+@pytest.mark.slow
 def test_meaningless_gradients_end_the_search(monkeypatch):
     """Huge gradients, as a chattering loop has them, end a descent early; a search within limits uses none."""
     calls = []
@@ -550,6 +555,7 @@ def test_a_reference_beyond_the_reachable_range_is_clipped():
     assert float(both.reference.min()) == float(both.reference.max()) == 4e-3
 
 
+@pytest.mark.slow
 def test_start_gains_that_fail_on_fewer_draws_are_kept_and_judged(tmp_path, monkeypatch):
     """With ``check = 1`` the cases are draws of parameters only, and the document has no check on cases."""
     (tmp_path / "c.toml").write_text(

@@ -138,6 +138,7 @@ def demo(tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_hidden_latent_heat_is_named_and_the_diagnosed_rig_predicts_to_the_noise(demo):
     document = json.loads((demo / "diagnosis.json").read_text("utf-8"))
     assert document["effects"] == ["latent-heat"] and document["base_fit_at_rest"]
@@ -226,6 +227,7 @@ def schema() -> dict:
     return schemas()["diagnosis.schema.json"]
 
 
+@pytest.mark.slow
 def test_document_matches_its_schema(demo, schema):
     jsonschema.validate(json.loads((demo / "diagnosis.json").read_text("utf-8")), schema)
     with pytest.raises(jsonschema.ValidationError):

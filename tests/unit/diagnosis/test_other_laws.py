@@ -102,6 +102,7 @@ def wrong_law(rig) -> DiagnosisStudy:
     return diagnosed(plain, recordings)
 
 
+@pytest.mark.slow
 def test_a_wrong_law_is_named_and_no_effect(wrong_law, tmp_path):
     law = wrong_law.law
     assert law is not None and law["cause"] == "law" and law["better"] == "tanaka"
@@ -130,6 +131,7 @@ def test_without_more_than_noise_no_law_is_fitted(rig):
     assert study.verdict == "nothing-missing" and study.law is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", ["none", "law", "effect", "either", "part"])
 def test_sentences(wrong_law, cause):
     better = None if cause == "none" else "tanaka"

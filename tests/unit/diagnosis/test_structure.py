@@ -81,6 +81,7 @@ def state_of(chi2: float, ranking: dict[str, tuple[float, float]] | None = None)
     return state
 
 
+@pytest.mark.slow
 def test_structure_is_asked_for_where_more_than_noise_remains(rough):
     rig, _, problem = rough
     assert may_have_structure(problem, state_of(9.0))
@@ -124,6 +125,7 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
     assert all(low < high for low, high in zip(*structured.bounds, strict=True))
 
 
+@pytest.mark.slow
 def test_a_rough_rig_needs_a_structure_and_nothing_else(rough, diagnosis):
     rig, _, _ = rough
     assert diagnosis.structure.variant != "neither"
@@ -153,6 +155,7 @@ def test_factors_on_widths_stay_where_the_law_would_leave_its_bounds(start, widt
     assert float(parameters.get(found, "material.detwinning_start_stress")) >= 0.0 and found.cells is None
 
 
+@pytest.mark.slow
 def test_error_budget_goes_from_a_naive_forecast_to_the_last_fit(rough, diagnosis):
     _, recordings, _ = rough
     entries = diagnosis.error_budget
@@ -171,6 +174,7 @@ def test_error_budget_goes_from_a_naive_forecast_to_the_last_fit(rough, diagnosi
     assert low < high and not entries[1].cut95
 
 
+@pytest.mark.slow
 def test_document_and_page_have_structure_and_budget(rough, diagnosis):
     _, recordings, _ = rough
     options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}

@@ -42,6 +42,7 @@ def figures(actuator: AbstractActuator) -> dict[str, jax.Array]:
     return actuator.metrics()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_shipped_actuators_round_trip_and_have_metrics(kind: str, tmp_path: Path):
     actuator = actuator_file.read_actuator(data_path("actuators", kind, "rig.toml"))
@@ -100,6 +101,7 @@ FREED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FREED)  # the knee's, which are integrated, in test_knee.py
 def test_derivatives_of_every_metric(kind: str):
     metrics_of, count = of_names(kind, FREED[kind]), len(FREED[kind])
@@ -115,6 +117,7 @@ def test_derivatives_of_every_metric(kind: str):
         assert value == pytest.approx(float(single[name]), rel=1e-10)  # in a batch as alone
 
 
+@pytest.mark.slow
 def test_wires_at_a_spacing_cool_more_slowly_the_closer_they_are():
     """The spacing in the file is that of the cross-section; derivatives with respect to spacing and diameter."""
     actuator = shipped_actuator("flexural")

@@ -81,6 +81,7 @@ def test_a_play_of_the_transmission_is_none_of_a_test_frame():
         assert reason(make().capabilities(())) == ""
 
 
+@pytest.mark.slow
 def test_a_fit_says_which_estimates_no_alloy_can_have(tmp_path):
     """The true wire has an expansion of -500e-6 1/K: the fit finds it, with the interval of the data, and says so."""
     folder = data_path("recordings", "dead-weight")

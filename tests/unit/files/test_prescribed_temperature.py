@@ -53,6 +53,7 @@ def bath(kind, **channels):
     return Recording.from_arrays("bath", TIME, channels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SECTIONS)
 def test_the_wire_is_a_material_point_under_its_own_stress(kind):
     plant = parse_rig(rig_text(kind)).plant

@@ -152,6 +152,7 @@ def test_same_seed_same_search(problem, bowl, search):
     assert not np.array_equal(first.vector, other.vector)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_budget_is_kept_to_the_last_simulation(problem, two_recordings, bowl, search):
     result = search(problem, seed=0, budget=157)

@@ -287,6 +287,7 @@ def test_a_profile_without_a_range_is_refused(result, width):
         profile_likelihood(result, "heat.h0", width=width)
 
 
+@pytest.mark.slow
 def test_an_interrupted_profile_is_no_profile(result, monkeypatch):
     advance = MultiStartSolver.advance
 

@@ -32,6 +32,7 @@ def rosenbrock(y, args):
     return jnp.stack([args * (y[1] - y[0] ** 2), 1.0 - y[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"lazy_jacobian": True}, {"lazy_jacobian": True, "secant_updates": True}])
 @pytest.mark.parametrize(
     ("lower", "upper", "expected"),
@@ -239,6 +240,7 @@ def test_a_fit_by_an_optimistix_solver_has_the_default_s_estimates(fitted, solve
         assert estimate.upper95 == pytest.approx(default.upper95, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_fit_s_own_solver_runs_under_optimistix(fitted):
     problem = fitted.problem
     lower, upper = problem.bounds

@@ -67,6 +67,7 @@ DENOMINATORS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_transfer_functions_are_scipys(structure):
     assert INPUT[0] > 0.1  # on from the first row, from rest
@@ -142,6 +143,7 @@ def test_a_clock_that_jitters_counts_as_even_for_a_call_as_for_a_fit(jitter, pas
     np.testing.assert_allclose(exact, 1.0 - np.exp(-(time - time[0])), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", STRUCTURES)
 @pytest.mark.parametrize("constant", [False, True])
 def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, constant):
@@ -225,6 +227,7 @@ def test_a_delay_of_a_part_of_a_row_is_exact_where_the_lag_is_hardly_longer(stru
     np.testing.assert_allclose(result, 0.5 + late(([3.0], DENOMINATORS[structure]), delay), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_the_delay_is_a_number_like_the_others(structure):
     """The derivative exists everywhere; at a whole row, where the response of a pole has a kink, it is that towards longer delays."""
@@ -241,6 +244,7 @@ def test_the_delay_is_a_number_like_the_others(structure):
         assert float(slope) == pytest.approx(float(mean(delay + 1e-6) - mean(delay)) / 1e-6, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("structure", "truth"),
     [
@@ -389,6 +393,7 @@ def test_a_planted_recovery_is_found():
     np.testing.assert_allclose([law.share, law.fast, law.slow, law.rest], [share, fast, slow, rest], rtol=0.06)
 
 
+@pytest.mark.slow
 def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
     """A recovery that rises before it falls, which no share between 0 and 1 gives."""
     law = Switched(network(), *map(jnp.asarray, (-2.0, 0.6, 4.0, 0.1, 0.05)))
@@ -833,6 +838,7 @@ def test_a_stop_iteration_of_other_code_is_a_fault(monkeypatch):
         fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calls", [1, 2])
 def test_a_network_s_fit_that_is_stopped_keeps_its_ridges(calls):
     def stop(number, cost):
@@ -874,6 +880,7 @@ def test_rows_before_the_delay_have_a_finite_gradient():
     assert np.isfinite(float(jax.grad(last)(jnp.asarray(1.0))))
 
 
+@pytest.mark.slow
 def test_a_prediction_of_uneven_rows_is_nan_under_jit():
     time = jnp.asarray([0.0, 1.0, 2.0, 4.0])
     predicted = jax.jit(lambda t: network().predict_ahead(t, jnp.ones(4), jnp.ones(4), jnp.asarray(2)))(time)

@@ -79,6 +79,7 @@ def test_compiler_options_are_those_of_the_program():
         jit_with_kernels(loop, compiler_options={"no_such_option": True})(0.7, START, ROWS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_transformed_functions_give_the_same_numbers_and_are_kernels(name):
     marked = TRANSFORMED[name](jit_with_kernels(loop))
@@ -123,6 +124,7 @@ def test_methods_of_modules_are_functions():
     assert float(slope) == pytest.approx(float(expected), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "unavailable"),
     [
@@ -176,12 +178,14 @@ REDUCTIONS = {
 PRODUCTS = ((7, 7, 7), (8, 7, 2), (2, 8, 2), (2, 2, 8), (1, 8, 8), (8, 1, 8), (8, 8, 1), (20, 20, 20))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [4080, 4096, 5120])
 @pytest.mark.parametrize("name", REDUCTIONS)
 def test_loops_at_the_thresholds_of_the_library_compile(name, size):
     check_loop(REDUCTIONS[name](size))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", PRODUCTS)
 @pytest.mark.parametrize("batch", [None, 3])
 def test_loops_with_products_of_matrices_compile(shape, batch):

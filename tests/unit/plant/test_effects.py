@@ -223,6 +223,7 @@ def test_what_is_planted_is_recovered():
     assert not wrong, wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "effects"),
     [
@@ -294,6 +295,7 @@ def beside_the_reference(hidden, effects):
     return (np.sqrt(np.mean((other - truth[1]) ** 2)) / made.noise["displacement"] for other in (moved, truth[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "effects"),
     [
@@ -323,6 +325,7 @@ def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
     assert apart < 0.2 * made.noise["angle"] < 0.05 * effect
 
 
+@pytest.mark.slow
 def test_an_infrared_spot_adds_the_radiation_of_wire_and_background():
     """Absent at 0; by hand for a cold and for a warmed background; the derivative is that of a small change."""
     time, wire = jnp.linspace(0.0, 100.0, 201), 25.0 + jnp.concatenate([jnp.zeros(1), jnp.full(200, 55.0)])
@@ -575,6 +578,7 @@ def test_plastic_strain_grows_with_the_power_of_the_stress():
         assert added == pytest.approx(1e-3 * cycles, rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_elastic_part_has_two_slopes():
     plant = plants.stress_path()
     effect = catalogue()["two-slope-elasticity"](strength=1e-11, knee=1e8)  # pyright: ignore[reportCallIssue]

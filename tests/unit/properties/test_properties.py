@@ -158,6 +158,7 @@ def test_the_steepest_tangent_of_exact_kinetics(rows, tilt):
         assert cycle.values["transformation_strain"].value == pytest.approx(0.03 * tilt, abs=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cosine", "noise", "rows"), [(True, 2e-4, 161), (True, 4e-4, 81), (False, 2e-4, 161)])
 def test_intervals_hold_the_steepest_tangent(cosine, noise, rows):
     """As often as of the three lines, see above; they are a few times the scatter of what they tell of, no more."""
@@ -390,6 +391,7 @@ def test_expansion_is_not_taken_for_an_end_that_was_not_reached(strain, sign):
     assert not analyse_cycles("7 MPa", *_little(strain, sign, coldest=45.0))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", MATERIALS)
 def test_the_command(tmp_path, law):
     paths = [
@@ -876,6 +878,7 @@ def brinson_cycles(folder: Path, stresses: list[float], noise: float = 1e-5) -> 
     return paths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stresses", [[40.0], [40.0, 90.0, 160.0]])
 def test_a_brinson_fit_from_the_set_finds_stresses_that_detwin_a_wire_below_100_mpa(tmp_path, stresses):
     paths = brinson_cycles(tmp_path, stresses)

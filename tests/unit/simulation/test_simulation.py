@@ -78,6 +78,7 @@ def test_halved_steps_are_those_of_half_the_step_as_far_as_the_grid_goes():
     assert np.max(np.abs(half - fine)[:samples]) < 1e-12 < 1e-3 * np.max(np.abs(coarse - fine)[:samples])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
 def test_merged_steps_heat_as_much(interpolation):
     """Merging three steps is as accurate as a recording of every third sample allows, and jumps of a held input heat as before."""
@@ -119,6 +120,7 @@ def test_a_simulation_may_end_where_nothing_is_asked_for_any_more():
         assert np.array_equal(whole, early) or np.max(np.abs(whole - early)) < 1e-12 * np.max(np.abs(whole))
 
 
+@pytest.mark.slow
 def test_smoothing_vanishes_on_the_wire_with_first_order():
     recording = plants.inputs("dead_weight", 400, 0.08)
     sharp = simulate.simulate(plants.dead_weight(), recording).channels["displacement"]
@@ -416,6 +418,7 @@ def test_light_pulley_is_the_limit_of_small_inertia():
     assert computed[1] < 1e-3
 
 
+@pytest.mark.slow
 def test_inertia_rings_as_the_reference_does():
     plant = plants.rotary(2e-4, 2e-4)
     recording = plants.inputs("rotary", 60, 0.05)
@@ -441,6 +444,7 @@ def test_a_wire_cannot_push():
     assert np.all(stress[-240:] == 0.0)
 
 
+@pytest.mark.slow
 def test_work_over_a_closed_cycle_is_dissipated():
     """Pulled and released at constant temperature above A_f, the wire returns to its start and the loop's area is positive."""
     strain = np.concatenate([np.linspace(0, 0.05, 400), np.linspace(0.05, 0, 400)])

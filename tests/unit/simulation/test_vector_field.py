@@ -112,6 +112,7 @@ def test_an_adjoint_without_reverse_mode_is_refused(adjoint, sentence, last_temp
         jax.grad(lambda h0: last_temperature(h0, solver=dfx.Tsit5(), adjoint=adjoint))(100.0)
 
 
+@pytest.mark.slow
 def test_the_default_adjoint_names_what_has_forward_mode(last_temperature):
     with pytest.raises(
         DerivativeError, match="^simulate: adjoint RecursiveCheckpointAdjoint has no derivatives in forward"
@@ -238,6 +239,7 @@ def test_fractions_on_the_surface_of_a_driving_force_follow_the_differential_equ
         assert np.max(np.abs(np.asarray(implicit.channels[channel] - exact.channels[channel]))) < bound, channel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.grad, jax.jacfwd])
 @pytest.mark.parametrize(
     ("kind", "plant"),

@@ -91,6 +91,7 @@ class TestLimits:
             limits.for_life(2e6)
         assert limits_from_document(json.loads(json.dumps(limits.to_document()))) == limits
 
+    @pytest.mark.slow
     def test_they_hold_by_default_and_are_turned_off(self, folder):
         """The wire of least energy is one at 245 MPa without the limits, and one at most at the rated pull with them."""
         refined = SWEEP + "[refine]\nstarts = 1\n"
@@ -182,6 +183,7 @@ class TestMargins:
         slopes = jax.grad(lambda v: margins.with_margins({"m": v})["lowest_m"])(constant["m"])
         assert np.all(np.isfinite(np.asarray(slopes)))
 
+    @pytest.mark.slow
     def test_of_a_fit_of_the_rig(self, folder):
         result = fit(BENCH / "rig.toml", BENCH / "train.csv")
         result.save(folder / "result")
@@ -233,6 +235,7 @@ class TestCatalogue:
         with pytest.raises(InputError, match=message):
             written(folder, self.TEXT.replace('{ catalogue = "smartflex" }', entry))
 
+    @pytest.mark.slow
     def test_refinement_finds_the_best_diameter(self, folder):
         """The best result has no larger energy than the refinements with each diameter alone."""
         text = self.TEXT.replace("[sweep]", '[sweep]\nlimits = "flexinol"')
@@ -327,6 +330,7 @@ def test_a_constant_duty_gives_the_same_grid_as_one_that_varies():
 
 
 class TestRefinedDesigns:
+    @pytest.mark.slow
     @pytest.mark.parametrize("shape", ["square", "triangle"])
     def test_the_command_shows_the_figures_again(self, folder, shape):
         """The rig is linear between samples, and a square input of a sweep is not: 7.69 mm instead of 8 before."""
@@ -349,6 +353,7 @@ class TestRefinedDesigns:
             assert shown[name]["value"] == pytest.approx(entry["metrics"][name], rel=tolerance)
         assert "Last cycle:" in result.output and "strain_range" in result.output
 
+    @pytest.mark.slow
     def test_the_answer_ends_with_what_to_buy(self, folder):
         text = TestCatalogue.TEXT.replace("designs = 64", "designs = 32")
         (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")

@@ -458,6 +458,7 @@ def test_two_devices_agree_with_one(folder):
     )
 
 
+@pytest.mark.slow
 def test_metrics_agree_with_the_exact_reference(folder):
     """Stroke, temperature, energy and work of the last cycle, and the time to cool, from a simulator that shares no code."""
     sweep = read_sweep(folder / "sweep.toml")
@@ -495,6 +496,7 @@ def test_metrics_agree_with_the_exact_reference(folder):
         assert metrics["time_to_cool"][k] == pytest.approx(cooled, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_of_every_metric(folder):
     sweep = read_sweep(folder / "sweep.toml")
     problem, designs, steps = sweep.problem(), sweep.designs()[:16], 40
@@ -571,6 +573,7 @@ def test_frequency_as_an_axis_and_a_recording_as_input(folder):
     assert np.allclose(by_recording["stroke"], np.asarray(by_wave["stroke"]), rtol=1e-2, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_refined_designs_keep_their_limits_and_beat_the_samples(folder):
     sweep = read_sweep(folder / "sweep.toml")
     problem, designs = sweep.problem(), sweep.designs()
@@ -875,6 +878,7 @@ def test_constraints_that_no_design_keeps(folder):
     assert (folder / "out" / "sweep.parquet").is_file()
 
 
+@pytest.mark.slow
 def test_refinement_restores_feasibility(folder):
     """The stroke of all sampled designs is too small; the gradients lead to feasible ones at the temperature limit."""
     text = SWEEP.replace("peak_temperature = {", 'stroke = { at_least = "9.5 mm" }\npeak_temperature = {').replace(
@@ -929,6 +933,7 @@ def test_refinement_restores_feasibility_of_a_whole_number():
         assert not none.better and none.restored and none.metrics["size"] > 0.2
 
 
+@pytest.mark.slow
 def test_the_nearest_design_is_one_that_was_simulated(tmp_path):
     """Thick wires do not fit into the strip: they have a moment, but no other metric."""
     flexural = ROOT / "data" / "actuators" / "flexural" / "rig.toml"
