@@ -116,8 +116,8 @@ def _concluded(
     except KeyboardInterrupt:  # the effects are a result without these
         found.state.interrupted = True
     conclusion = _conclusion(found, explanation, law)
-    result = summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
-    return dataclasses.replace(result, offsets=without.offsets)
+    found.state.offsets = without.offsets  # of the rig as it is, without a structure of the wire
+    return summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
 
 
 def _compared_laws(

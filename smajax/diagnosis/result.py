@@ -207,6 +207,7 @@ def summarise(
         before=before,
         after=after,
         base_fit_converged=state.base_fit_converged,
+        offsets=state.offsets,
         reduced_chi2=(before_chi2, after_chi2, state.chi2_limit),
         rmse=_errors(series, noise),
         cut95=_cuts(evaluator, predictions, conclusion.holdout_decided),

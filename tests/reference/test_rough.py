@@ -77,6 +77,7 @@ def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
     assert errors[1] < 0.35 * errors[0] and errors[2] < 0.35 * errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", [WEIGHT, SPRING], ids=["weight", "spring"])
 def test_smaller_cells_change_less_than_the_noise(rig):
     time, current = levels()

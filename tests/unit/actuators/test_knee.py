@@ -137,6 +137,7 @@ def test_figures_of_a_command(knee):
     assert motor["energy_per_cycle"] == pytest.approx(np.trapezoid(current, np.asarray(SHARE)), rel=0.02)
 
 
+@pytest.mark.slow
 def test_figures_of_the_parts(knee):
     still = parameters.replace(commanded(knee, "motor"), {"command.motor": 24.0})
     assert float(still.motor_speed(jnp.asarray(24.0))) * 60 / (2 * math.pi) == pytest.approx(24 * 24.48, rel=1e-4)

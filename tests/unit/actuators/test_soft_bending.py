@@ -82,6 +82,7 @@ def test_a_bend_that_is_not_found_is_none():
     assert np.asarray(result["tip_slope"])[0] == pytest.approx(1.6357, abs=1e-4) and np.isnan(result["tip_slope"][2])
 
 
+@pytest.mark.slow
 def test_elastica_has_its_derivatives_and_its_limit():
     at = jnp.array([2.0, 0.2, 0.12, 0.03])
     slopes = np.array(jax.jit(jax.jacfwd(lambda p: jnp.stack(solve_elastica(*p))))(at))
@@ -207,6 +208,7 @@ def test_soft_bending_figures():
     assert abs(float(held["tip_deflection"])) < 1e-6 * 0.12 * 1e-3
 
 
+@pytest.mark.slow
 def test_a_cycle_of_the_bar():
     """Against a hanging weight the tip moves from below to above; the wires are heated, transformed, and cooled in the silicone."""
     actuator = actuator_file.read_actuator(data_path("actuators", "soft-bending", "rig.toml"))

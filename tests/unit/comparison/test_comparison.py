@@ -108,6 +108,7 @@ def test_parameters_at_a_bound_are_listed(short, tmp_path):
         assert f"{name}: at its bound: {', '.join(at_bound)}" in result.output and f"{name}: at its bound: " in page
 
 
+@pytest.mark.slow
 def test_model_that_diverges_is_left_out(short, tmp_path, monkeypatch):
     respond = IOModelFit.respond
 

@@ -93,6 +93,7 @@ def test_a_check_has_the_worst_value_of_each_metric_and_its_case(tmp_path):
     assert excess_of_limits(task.limits, check)["temperature"] == pytest.approx(max(peaks) - limit)
 
 
+@pytest.mark.slow
 def test_a_loop_that_rests_at_the_first_reference_continues_another_rollout(tmp_path):
     """Its first level is reached before the first sample: what follows is the end of a rollout with a longer level."""
     task = task_of(tmp_path)
@@ -291,6 +292,7 @@ def test_too_few_draws_of_the_noise_are_refused(tmp_path, check, refused):
     assert 0.95**59 < 0.05 < 0.95**58
 
 
+@pytest.mark.slow
 def test_the_default_objective_bounds_the_overshoot(tmp_path):
     """A word brings the overshoot's term unless the overshoot is limited; weights are used as they are."""
     overshoot = "overshoot"

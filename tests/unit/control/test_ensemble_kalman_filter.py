@@ -79,6 +79,7 @@ def covered(error, deviation) -> float:
 BENCHES = ((1.2, 24.0, 3), (0.8, 16.0, 4), (1.2, 18.0, 5), (0.85, 25.0, 6))
 
 
+@pytest.mark.slow
 def test_a_hidden_temperature_is_estimated_with_its_deviation():
     """With errors of 15 to 20 % in convection, 2 to 5 K in ambient, half a kelvin in transformation temperatures."""
     errors, coverage = {}, {}

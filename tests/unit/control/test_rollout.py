@@ -197,6 +197,7 @@ def test_a_batch_that_was_traced_before_is_differentiable(sampled):
     assert errors(found, None) < errors(start, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", [jax.grad, jax.jacfwd])
 @pytest.mark.parametrize("first", [jax.grad, jax.jacfwd])
 def test_a_second_derivative_raises(sampled, first, second):

@@ -152,6 +152,7 @@ def test_a_tuning_that_is_stopped_keeps_the_best_gains(weights, limits, settle, 
         assert result.settling < longest_settling(problem, problem.start, 0.02)
 
 
+@pytest.mark.slow
 def test_a_limit_is_kept_at_a_higher_cost():
     problem = hip_problem()
     free, kept = (tune(problem, {"itae": 1.0}, limits) for limits in ({}, {"overshoot": 0.01}))

@@ -258,6 +258,7 @@ def test_report_in_a_browser(demo, tmp_path):
     assert page.index("The rig has latent-heat") < page.index("Error before and after")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "message"),
     [
@@ -318,6 +319,7 @@ def fitted(evaluator) -> Refit:
     return evaluator.problem.fit(EffectSet(), evaluator.problem.nominal, max_steps=8)
 
 
+@pytest.mark.slow
 def test_residuals_are_measured_minus_model_and_the_table_has_that_model(evaluator, fitted):
     problem, rig = evaluator.problem, read_rig(data_path("recordings", "dead-weight-unexplained") / "rig.toml")
     training = problem.splits[0].recordings[0]
@@ -331,6 +333,7 @@ def test_residuals_are_measured_minus_model_and_the_table_has_that_model(evaluat
         np.testing.assert_allclose(series[0].residual(channel), values * unit, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_replacement_shapes_are_the_fitted_or_the_usual_ones(evaluator, fitted):
     reversals = [
         s["effects.coulomb-friction.reversal"]
@@ -345,6 +348,7 @@ def test_replacement_shapes_are_the_fitted_or_the_usual_ones(evaluator, fitted):
     ]
 
 
+@pytest.mark.slow
 def test_largest_gain_is_trusted_near_the_noise_only(evaluator, fitted):
     for value, is_trusted in ((1.5, True), (20.0, False)):
         refit = dataclasses.replace(fitted, residual=np.full(len(fitted.residual), value))
@@ -390,6 +394,7 @@ def test_search_on_fewer_samples_has_the_same_optimum(evaluator, fitted, monkeyp
     assert problem.strided_problem(4) is problem.problems[0] and stride_error(problem, fitted, 4) == math.inf
 
 
+@pytest.mark.slow
 def test_several_steps_for_each_sample_become_one_if_accurate(evaluator, monkeypatch):
     monkeypatch.setattr("smajax.diagnosis.slotted_programs.start_compilation", lambda *_, **__: [])
     usual = evaluator.problem
@@ -416,6 +421,7 @@ def test_several_steps_for_each_sample_become_one_if_accurate(evaluator, monkeyp
     assert problem.problems is before
 
 
+@pytest.mark.slow
 def test_confusable_effects_are_swapped_near_the_noise(evaluator, fitted, monkeypatch):
     """The first effect may be the wrong one of two similar effects; at the noise, or far from it, nothing is refitted."""
 
@@ -446,6 +452,7 @@ def test_confusable_effects_are_swapped_near_the_noise(evaluator, fitted, monkey
         ]
 
 
+@pytest.mark.slow
 def test_expected_chi2_includes_the_uncertainty_of_the_parameters(evaluator, fitted):
     assert 1.0 <= expected_reduced_chi2(evaluator, fitted, 1) < 1.1
 
@@ -578,6 +585,7 @@ def test_onset_time_is_scanned_over_the_whole_recording(evaluator, fitted, monke
     )
 
 
+@pytest.mark.slow
 def test_coating_and_end_conduction_are_equivalent(evaluator, monkeypatch):
     """End conduction with other convection fits a coating as well, but the other parameters have to change much."""
     problem, rng = evaluator.problem, np.random.default_rng(0)

@@ -225,6 +225,7 @@ def test_malformed_actuator_files_are_refused(kind: str, case: str):
     assert str(error.value).startswith(f"actuator.toml: {sentence}") and "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "values", "undefined"),
     [

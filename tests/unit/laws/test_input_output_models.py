@@ -125,6 +125,7 @@ def test_models_in_discrete_time_refuse_uneven_rows():
         np.testing.assert_allclose(eqx.filter_jit(compute_response)(model, jnp.asarray(TIME[:10]), u), even, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("jitter", "passes"), [(0.004, True), (0.02, False)])
 def test_a_clock_that_jitters_counts_as_even_for_a_call_as_for_a_fit(jitter, passes):
     knots, values = jnp.linspace(0.0, 1.0, 3), INPUT[:60]
@@ -163,6 +164,7 @@ def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, c
     ] + (not constant)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("simple", "richer"), [("one-pole", "two-poles"), ("underdamped", "underdamped-and-pole")])
 def test_one_more_pole_fits_no_worse(simple, richer):
     """Data with one pole fewer give a pole with a lag below one row; each structure has its own list of parameters."""
@@ -488,6 +490,7 @@ def test_bouc_wens_own_parameters_are_found():
         assert float(value) == pytest.approx(float(other), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("envelopes", [1, 2])
 def test_the_operators_own_parameters_are_found(envelopes):
     """On the scale of the fit, from a start that is off by a tenth: no parameter can replace another."""
@@ -526,6 +529,7 @@ def test_the_operators_own_parameters_are_found(envelopes):
     assert float(got["reach"]) / scale == pytest.approx(0.6, rel=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 7])
 def test_two_envelopes_are_found_from_far(seed):
     """Steep ones next to the middle of the input's range, and ten plays: where a search from the first guess and drawn points alone ends
@@ -580,6 +584,7 @@ def test_an_output_that_falls_with_its_input_is_fitted_as_well(envelopes):
     assert float(result.model.loading.height) < 0.0
 
 
+@pytest.mark.slow
 def test_thresholds_and_densities_are_fitted_or_held():
     """Uneven thresholds are recovered if all are free; with fixed thresholds or densities the others and the height are."""
     top = Envelope(
@@ -869,6 +874,7 @@ def test_ctrl_c_in_a_network_s_fit_keeps_its_ridges(calls, monkeypatch):
     assert result.interrupted and math.isfinite(result.rmse) and result.ridge == 0.3
 
 
+@pytest.mark.slow
 def test_rows_before_the_delay_have_a_finite_gradient():
     """Their transition would overflow: the delay is 800 time constants."""
     time = jnp.asarray([0.0, 1.0, 2.5, 900.0, 1000.0])

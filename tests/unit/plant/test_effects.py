@@ -258,6 +258,7 @@ def test_an_effect_does_what_the_reference_does_in_another_form(hidden, effects)
     assert apart < 0.2 < 0.05 * effect
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "effects"),
     [
@@ -561,6 +562,7 @@ def test_heating_roundness_changes_heating_only():
     assert slope[0] > 0.01 and np.asarray(slope) == pytest.approx(np.asarray(change), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_plastic_strain_grows_with_the_power_of_the_stress():
     """Two cycles at 300 MPa with a power of 3 strain as 2 * 8 cycles at 150 MPa; a slack wire is not strained."""
     plant = plants.stress_path()

@@ -350,6 +350,7 @@ def round_trip(
     return warm[0] + warm[1] * np.sin(phase + ahead), load[0] + load[1] * np.sin(phase)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("voigt_share", [0.0, 1.0])
 def test_paths_of_temperature_and_stress_together_converge_on_the_reference(voigt_share):
     """Two closed paths, wide and narrow, on which martensite grows and shrinks under a changing stress."""
@@ -416,6 +417,7 @@ def test_no_closed_cycle_yields_energy(voigt_share, turns):
     assert work - heat > (1e5 if np.max(martensite) > 0.1 else -1.0)  # J/m^3; a full cycle's is 1e7
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(-20.0, 150.0), st.floats(0.0, 6e8)), min_size=2, max_size=8))
 def test_fractions_stay_possible(path):

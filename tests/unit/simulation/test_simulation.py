@@ -38,6 +38,7 @@ def orders(computed, steps):
     return np.diff(np.log(computed)) / np.diff(np.log(steps))
 
 
+@pytest.mark.slow
 def test_dead_weight_converges_to_the_exact_reference_with_second_order():
     plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.08)
     exact = rigs.dead_weight(

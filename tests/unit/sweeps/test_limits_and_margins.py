@@ -145,6 +145,7 @@ class TestLimits:
 
 
 class TestMargins:
+    @pytest.mark.slow
     def test_of_a_range_against_single_simulations(self, folder):
         """The lowest stroke and the highest temperature are those of the rig at the ends of the range."""
         text = SWEEP + '[margins]\nvary = { "environment.ambient" = "3 K" }\n'
