@@ -188,10 +188,7 @@ def summarise(
     """
     problem, noise, structure = evaluator.problem, evaluator.problem.noise, conclusion.structure
     series, failures = _residual_series((without or evaluator, evaluator), before, after)
-    predictions = {
-        when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
-        for when, splits in series.items()
-    }
+    predictions = _in_units(series, noise)
     intervals = effect_intervals(evaluator, after)
     before_chi2, after_chi2 = (_reduced_chi2(series[when][TRAIN]) for when in ("before", "after"))
     return Diagnosis(
@@ -228,6 +225,16 @@ def summarise(
         law=conclusion.law,
         plant=structured_plant(problem.fitted_plant(after), structure),
     )
+
+
+def _in_units(
+    series: Mapping[str, list[dict[str, np.ndarray]]], noise: Mapping[str, float]
+) -> dict[str, list[dict[str, np.ndarray]]]:
+    """Series over the noise of their channels in the units of these."""
+    return {
+        when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
+        for when, splits in series.items()
+    }
 
 
 def _cuts(

@@ -23,6 +23,7 @@ from tests.reference.rough import (
 )
 from tests.reference.rough_wire import transform
 
+pytestmark = pytest.mark.slow  # the compiled loop of the rough rigs takes longer to compile than all tests take
 WEIGHT = shipped("dead-weight")
 SPRING = replace(shipped("bias-spring"), control="current", interpolation="linear")
 PULLEY = shipped("rotary")
@@ -53,7 +54,6 @@ def rough(name: str, seed: int = 0):
     return draw_background(np.random.default_rng(seed), 2 if name == "pulley" else 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", RIGS)
 @pytest.mark.parametrize(
     "hidden", [NOTHING, Hidden(latent_heat=1.5e8), Hidden(friction=4e7)], ids=["nothing", "latent heat", "friction"]
@@ -69,7 +69,6 @@ def test_smaller_steps_change_less_than_the_noise(name, hidden):
     assert np.max(np.abs(usual - finest)) < 3.0 * noise
 
 
-@pytest.mark.slow
 def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
     time, current = levels()
     runs = [simulate(WEIGHT, rough("weight"), NOTHING, time, current, n).temperature for n in (2, 4, 8, 32)]
@@ -77,7 +76,6 @@ def test_without_an_effect_on_heat_or_force_steps_are_of_second_order():
     assert errors[1] < 0.35 * errors[0] and errors[2] < 0.35 * errors[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rig", [WEIGHT, SPRING], ids=["weight", "spring"])
 def test_smaller_cells_change_less_than_the_noise(rig):
     time, current = levels()
@@ -107,7 +105,6 @@ def test_heat_is_neither_lost_nor_made(name):
     assert total == pytest.approx(run.lost[-1], rel=2e-3)
 
 
-@pytest.mark.slow
 def test_a_closed_cycle_gives_off_the_heat_that_it_takes_up():
     time = np.arange(4001) / 50.0
     current = 0.24 + 0.1 * np.sin(2.0 * np.pi * time / 10.0)
