@@ -202,10 +202,19 @@ def _candidate_sentences(doc: Document) -> list[str]:
 
 
 def _effect_sentences(doc: Document, key: str) -> list[str]:
-    """Sentences about an accepted effect: its size, and the effects from which it cannot be distinguished."""
+    """Sentences about an accepted effect: its size, and the effects from which it cannot be distinguished.
+
+    Where the recordings are in doubt themselves, an effect may only absorb what is wrong with them.
+    """
     entry = next(r for r in doc["ranking"] if r["key"] == key)
     size, meaning = _with_interval(entry["strength"], entry), _meaning(doc, key)
-    lines = [f"The rig has {key} of {size}, an effect of the {entry['stage']} stage{f': {meaning}' * bool(meaning)}."]
+    stage = f"an effect of the {entry['stage']} stage{f': {meaning}' * bool(meaning)}"
+    lines = [f"The rig has {key} of {size}, {stage}."]
+    if bench_sentences(doc):
+        lines = [
+            f"With the recordings as they are, {key} of {size} explains the residual best, {stage}.",
+            "It may be an artefact of what they show about their bench: correct that first, and diagnose again.",
+        ]
     shapes = [p for p in _parameters(doc, key) if p["name"] != f"effects.{key}.strength" and p["lower95"] is not None]
     lines += [f"Its {p['name'].split('.')[2]} is {_with_interval(p['value'], p, 4)}: {p['meaning']}." for p in shapes]
     undetermined = [p["name"] for p in _parameters(doc, key) if p["lower95"] is None]

@@ -108,3 +108,7 @@ def test_a_diagnosis_begins_with_what_its_recordings_show():
     DiagnosisDocument.check(document)
     assert diagnosis_summary.text(document).startswith(f"{text}\n\nVerdict: named\n")
     assert diagnosis_summary.sentences(document)[0] == text
+    words = " ".join(diagnosis_summary.sentences(document))
+    assert "The rig has" not in words and "The rig has latent-heat" in " ".join(diagnosis_summary.sentences(DIAGNOSIS))
+    assert "With the recordings as they are, latent-heat of 80 MJ/m^3" in words
+    assert "what they show about their bench: correct that first, and diagnose again." in words
