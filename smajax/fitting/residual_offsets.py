@@ -9,8 +9,8 @@ from smajax.fitting.problem import Problem
 
 # Channels whose value is 0 as installed, by definition of the rig's coordinate.
 ZERO_AS_INSTALLED = ("displacement", "angle")
-# Least share of the excess over the noise that offsets explain. In recordings with a sensor's offset it is 0.97 or
-# more, and at most 0.66 in those of hidden effects; tests/unit/fitting/test_residual_offsets.py has both.
+# Least share of the excess over the noise that offsets explain. Chosen by trial between recordings with an offset and
+# those of hidden effects; tests/unit/fitting/test_residual_offsets.py has examples of both.
 _MIN_SHARE = 0.9
 # Least size of an offset in standard errors for white noise: none by chance, also where the noise is slower.
 _MIN_ERRORS = 5.0

@@ -51,14 +51,7 @@ def test_only_what_goes_in_batches_is_left_to_an_accelerator(words, platforms, e
 
 def test_the_device_of_a_command_is_chosen_or_refused():
     code = "from smajax.app.command_line.run import start_run; start_run(True, 'cpu'); import jax; print(jax.default_backend())"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"JAX_PLATFORMS": "cuda"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "cpu"
+    assert python(code, JAX_PLATFORMS="cuda") == "cpu"
     if jax.default_backend() == "gpu":
         require_gpu()
     else:
