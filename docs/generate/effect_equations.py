@@ -83,7 +83,7 @@ def effect_equations() -> str:
                 f"[{key}](../reference/effects.md#{key})",
                 f"${EQUATIONS[key]}$",
                 as_text(effect.typical, effect.unit()),
-                effect.source,
+                effect.source.replace("/", "/<wbr>"),
             )
             for key, effect in sorted(catalogue().items())
             if effect.stage == stage

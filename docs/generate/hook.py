@@ -25,6 +25,15 @@ FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 # Columns from which stylesheets/site.css shows a table as lists on narrow screens.
 LISTED_COLUMNS = 4
+# Between two equations of a formula.
+SEPARATOR = re.compile(r",\s*\\quad\s*")
+LEFT = re.compile(r"\\left(?!arrow)")
+MATH_OF_BLOCK = '<math displaystyle="true" '
+# A prime and a dot over a symbol, as latex2mathml writes them: of the size of an exponent, and hard to see.
+PRIMED = re.compile(r"<msup>(<mi>[^<]*</mi>|<mover>.*?</mover>)<mi>&#x02032;</mi></msup>")
+PRIMED_INDEX = re.compile(r"<msubsup>(<mi>[^<]*</mi>)(<m[in]>[^<]*</m[in]>)<mi>&#x02032;</mi></msubsup>")
+DOT = re.compile(r"<mover>(?=(?:<mrow>)?<mi>[^<]*</mi>(?:</mrow>)?<mo>&#x00(?:2D9|0A8);</mo>)")
+_PRIME = '<mo lspace="0em" rspace="0em">&#x02032;</mo>'
 # An address that a browser loads when the page opens; a link that a reader follows is none.
 LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
 # End of a sentence before a literal block, which docstrings mark by two colons.
@@ -95,7 +104,27 @@ def _target(link: str, source: str) -> str:
 
 
 def _mathml(match: re.Match[str]) -> str:
+    """Return a formula as MathML; equations that a wide space separates may stand on several lines."""
     block = match[3] is not None
-    formula = html.unescape(match[3] if block else match[2])
-    math = convert(formula.strip(), display="block" if block else "inline")
-    return f'<div class="formula">{math}</div>' if block else math
+    parts = _equations(html.unescape(match[3] if block else match[2]).strip())
+    if block and len(parts) == 1:
+        return f'<div class="formula">{_converted(parts[0], "block")}</div>'
+    math = ", ".join(_converted(part, "inline") for part in parts)
+    if not block:
+        return math
+    return f'<div class="formula">{math.replace("<math ", MATH_OF_BLOCK)}</div>'
+
+
+def _equations(formula: str) -> list[str]:
+    """Return the equations of a formula, which is one where brackets contain the space between them."""
+    parts = SEPARATOR.split(formula)
+    pairs = [(part.count("{"), part.count("}"), LEFT.subn("", part)[1], part.count(r"\right")) for part in parts]
+    whole = all(a == b and c == d for a, b, c, d in pairs)
+    return parts if whole else [formula]
+
+
+def _converted(formula: str, display: str) -> str:
+    """Return an equation as MathML, with primes and dots of the size of a symbol."""
+    math = PRIMED.sub(f"<mrow>\\1{_PRIME}</mrow>", convert(formula, display=display))
+    math = PRIMED_INDEX.sub(f"<msub><mrow>\\1{_PRIME}</mrow>\\2</msub>", math)
+    return DOT.sub('<mover accent="true">', math)

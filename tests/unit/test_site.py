@@ -149,6 +149,29 @@ def test_formulas_become_mathml_and_pages_load_nothing():
     )
 
 
+def test_equations_of_a_formula_may_stand_on_several_lines_with_primes_of_full_size():
+    pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
+    pytest.importorskip("mkdocs")
+    from docs.generate import hook
+
+    def shown(formula: str) -> str:
+        return hook.on_page_content(rf'<div class="arithmatex">\[{formula}\]</div>', None, None, None)
+
+    assert shown(r"a = \frac{b}{c}, \quad d = e").count("<math displaystyle") == 2
+    assert shown(r"a = \left( b, \quad c \right)").count("<math") == 1
+    assert shown(r"a \leftarrow b, \quad c = d").count("<math") == 2
+    for formula in ("a'", "a_b'", r"\dot a'"):
+        # A second child of msup or msubsup would be of the size of an exponent.
+        assert "&#x02032;</mo>" in shown(formula) and "<msup>" not in shown(formula) and "msubsup" not in shown(formula)
+
+
+def test_the_font_of_formulas_ships():
+    style = (ROOT / "docs" / "stylesheets" / "site.css").read_text("utf-8")
+    fonts = re.findall(r'url\("\.\./(fonts/[^"]+)"\)', style)
+    assert fonts and all((ROOT / "docs" / font).is_file() for font in fonts)
+    assert "SIL OPEN FONT LICENSE" in (ROOT / "docs" / "fonts" / "LICENSE").read_text("utf-8")
+
+
 def test_cells_of_wide_tables_have_the_names_of_their_columns():
     pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
     pytest.importorskip("mkdocs")
