@@ -126,7 +126,7 @@ def fit(
         progress: Function that gets a ``ProgressEvent`` at each step; ``StopIteration`` stops the fit.
 
     Returns:
-        The study. Failed numerics, and a fit that explains nothing, do not raise: ``success`` is then false.
+        The study. Failed numerics, and a fit that explains nothing, do not raise; ``success`` is then false.
 
     Raises:
         InputError: If a file or an argument is not valid.

@@ -66,7 +66,7 @@ def predict(
         progress: Function that gets a ``ProgressEvent`` for each phase.
 
     Returns:
-        The study. A failed simulation does not raise: ``success`` is then false, and ``reason`` says why.
+        The study. A failed simulation does not raise; ``success`` is then false, and ``reason`` says why.
 
     Raises:
         InputError: If a file is not valid.

@@ -170,7 +170,7 @@ class Plant(StepSolver):
             signal: Signals at the same instant.
 
         Returns:
-            Scalars by channel, in SI and degC: temperature, stress, strain, force, resistance, current, voltage and
+            Scalars by channel, in SI and degC, of temperature, stress, strain, force, resistance, current, voltage and
             power of each wire, and the channels of the mechanism.
         """
         wires = self.mechanism.wires
