@@ -49,7 +49,7 @@ def _section(key: str) -> str:
             "Typical strength",
             f"{as_text(effect.typical, effect.unit())}. {effect.source[:1].upper()}{effect.source[1:]}.",
         ),
-        ("Confusable with", similar),
+        ("Confusable with", similar or "no other effect of the catalogue"),
         ("A rig shows it that has", ", ".join(effect.needs) or "any input that excites it"),
         ("Not in a rig that has", ", ".join(effect.excluded_by)),
         ("On the bench", effect.remedy),

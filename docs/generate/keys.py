@@ -17,11 +17,13 @@ from docs.generate.effects import value_text
 from docs.generate.markdown import code, table
 from smajax.control.controller_file import schema as controller
 from smajax.control.controllers.registry import controller_class, file_kinds
-from smajax.files import channel_settings, rig_schema, rig_structure
+from smajax.files import channel_settings, material_limits, rig_schema, rig_structure
+from smajax.files.parameter_sets import EntryTable
 from smajax.files.recording_settings import RecordingSection
+from smajax.files.rig_classes import rig_classes
 from smajax.files.rig_kinds import choose_stages
 from smajax.files.validators import OneOf
-from smajax.parameters.definitions import Declaration
+from smajax.parameters.definitions import Declaration, declarations
 from smajax.plant.drive import DRIVES
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.registry import MECHANISMS
@@ -62,6 +64,35 @@ def rig_keys() -> str:
             _recording_section(),
         ]
     )
+
+
+def device_keys() -> str:
+    """Return the keys of the rig files of actuators that are no wires on a mechanism, a part for each kind."""
+    parts = []
+    for kind, actuator in rig_classes().actuators.items():
+        shipped = tomllib.loads((data_path("actuators", kind) / "rig.toml").read_text("utf-8"))
+        parts.append(f"\n## {kind} {{ #{kind} }}\n")
+        for section, part in actuator.rig_sections().items():
+            rows = [
+                _declared(section, key, declared, shipped.get(section, {}).get(key))
+                for key, declared in declarations(part).items()
+            ]
+            parts.append(f"\n### [{section}] {{ #{kind}-{section} }}\n\n{table(HEAD, rows)}")
+    return "\n".join(parts)
+
+
+def set_keys() -> str:
+    """Return the keys of a parameter set."""
+    sections = {
+        "SECTION.KEY": (
+            EntryTable,
+            "A parameter by the name that it has in a rig file, such as `[material.martensite_start]`:",
+        ),
+        "limits": (material_limits.LimitSections, "What the material bears; a sweep keeps to it:"),
+        "limits.NAME": (material_limits.LimitTable, "The keys of a limit:"),
+        "catalogue": (material_limits.CatalogueTable, "The diameters in which the wire is sold:"),
+    }
+    return "\n".join(_model(name, model, note) for name, (model, note) in sections.items())
 
 
 def controller_keys() -> str:
@@ -143,9 +174,8 @@ def _kind(annotation: Any, examples: Sequence[Any] | None = None) -> str:
     if get_origin(annotation) in (Union, types.UnionType):
         return _kind(next(part for part in get_args(annotation) if part is not type(None)))
     if get_origin(annotation) is list:
-        return "list of " + {"text": "texts", "number": "numbers", "quantity": "quantities"}.get(
-            _kind(get_args(annotation)[0]), "tables"
-        )
+        entry = _kind(get_args(annotation)[0], [str(example)[1:] for example in examples or []])
+        return "list of " + {"text": "texts", "number": "numbers", "quantity": "quantities"}.get(entry, "tables")
     if hasattr(annotation, "__metadata__"):
         return _kind(get_args(annotation)[0])
     return KINDS.get(get_origin(annotation) or annotation, "text")
@@ -165,12 +195,13 @@ def _limits(metadata: Iterable[Any]) -> list[str]:
     return texts
 
 
-def _declared(section: str, key: str, declared: Declaration) -> tuple[str, str, str, str]:
+def _declared(section: str, key: str, declared: Declaration, shipped: Any = None) -> tuple[str, str, str, str]:
     bounds = f"{value_text(declared.lower, declared.unit)} to {value_text(declared.upper, declared.unit)}"
     default = value_text(declared.default, declared.unit)
     kind = "whole number" if declared.whole else "quantity"
     state = default if declared.default is None or default == "derived" else f"{default} by default"
-    return code(key), f"{kind}; {bounds}; {state}", declared.meaning, code(_example(f"{section}.{key}", declared))
+    example = _example(f"{section}.{key}", declared) if shipped is None else _toml(shipped)
+    return code(key), f"{kind}; {bounds}; {state}", declared.meaning, code(example)
 
 
 def _example(name: str, declared: Declaration) -> str:

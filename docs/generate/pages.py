@@ -33,6 +33,8 @@ PARTS: dict[str, Callable[[], str]] = {
     "public-names": api.public_names,
     "reading-options": commands.reading_options,
     "rig-keys": keys.rig_keys,
+    "device-keys": keys.device_keys,
+    "set-keys": keys.set_keys,
     "sweep-keys": keys.sweep_keys,
 }
 # Pages of the site by the file of the repository that they show.

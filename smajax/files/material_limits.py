@@ -37,25 +37,45 @@ from smajax.files.toml import STRICT, quantity_at, validate
 LIMIT_UNITS = {"stress": "Pa", "temperature": "degC", "strain": "1"}
 
 
-class _LimitTable(BaseModel):
+class LimitTable(BaseModel):
+    """``[limits.NAME]``."""
+
     model_config = STRICT
-    value: Any = Field(examples=['"120 degC"'])
-    source: str = Field(min_length=1, examples=['"data sheet"'])
-    cycles: float | None = Field(None, gt=0.0, examples=["1_000_000"])
+    value: Any = Field(description="largest value that is safe", examples=['"120 degC"'])
+    source: str = Field(min_length=1, description="where the value comes from", examples=['"data sheet"'])
+    cycles: float | None = Field(
+        None, gt=0.0, description="cycles that a wire bears at a stress; for stresses alone", examples=["1_000_000"]
+    )
 
 
-class _LimitSections(BaseModel):
+class LimitSections(BaseModel):
+    """``[limits]``."""
+
     model_config = STRICT
-    stress: list[Any] = Field([], examples=["[{ value = ..., cycles = ..., source = ... }]"])
-    temperature: dict[str, Any] | None = Field(None, examples=['{ value = "120 degC", source = "..." }'])
-    strain: dict[str, Any] | None = Field(None, examples=['{ value = "3.5 %", source = "..." }'])
+    stress: list[Any] = Field(
+        [],
+        description="stresses, each for a number of cycles; also written [[limits.stress]]",
+        examples=['[{ value = "172 MPa", cycles = 1_000_000, source = "data sheet" }]'],
+    )
+    temperature: dict[str, Any] | None = Field(
+        None, description="temperature of the wire", examples=['{ value = "120 degC", source = "data sheet" }']
+    )
+    strain: dict[str, Any] | None = Field(
+        None,
+        description="range of the strain in a cycle",
+        examples=['{ value = "3.5 %", source = "data sheet" }'],
+    )
 
 
-class _CatalogueTable(BaseModel):
+class CatalogueTable(BaseModel):
+    """``[catalogue]``."""
+
     model_config = STRICT
-    wire: str = Field(min_length=1, examples=['"Flexinol"'])
-    diameters: list[Any] = Field(min_length=1, examples=['["0.1 mm", "0.15 mm"]'])
-    source: str = Field(min_length=1, examples=['"data sheet"'])
+    wire: str = Field(min_length=1, description="name of the wire", examples=['"Flexinol"'])
+    diameters: list[Any] = Field(
+        min_length=1, description="diameters in which it is sold", examples=['["0.1 mm", "0.15 mm"]']
+    )
+    source: str = Field(min_length=1, description="where they come from", examples=['"data sheet"'])
 
 
 @dataclass(frozen=True)
@@ -153,10 +173,10 @@ def read_limits(path: Path, name: str) -> MaterialLimits | None:
     Raises:
         InputError: If the file is missing, or a limit is not valid; the message names file and key.
     """
-    return _read_table(path, "limits", lambda content: _limits_of(name, validate(_LimitSections, content, "limits")))
+    return _read_table(path, "limits", lambda content: _limits_of(name, validate(LimitSections, content, "limits")))
 
 
-def _limits_of(name: str, sections: _LimitSections) -> MaterialLimits:
+def _limits_of(name: str, sections: LimitSections) -> MaterialLimits:
     stress = [_read_limit("stress", f"limits.stress {k}", table) for k, table in enumerate(sections.stress, 1)]
     single = {
         key: _read_limit(key, f"limits.{key}", getattr(sections, key))
@@ -167,7 +187,7 @@ def _limits_of(name: str, sections: _LimitSections) -> MaterialLimits:
 
 
 def _read_limit(key: str, place: str, table: Any) -> Limit:
-    fields = validate(_LimitTable, table, place)
+    fields = validate(LimitTable, table, place)
     if fields.cycles is None and key == "stress":
         raise InputError(f"{place}.cycles is missing: add the number of cycles that a wire bears at this stress")
     if fields.cycles is not None and key != "stress":
@@ -192,7 +212,7 @@ def read_catalogue(path: Path, name: str) -> Catalogue | None:
 
 
 def _catalogue_of(name: str, content: Any) -> Catalogue:
-    fields = validate(_CatalogueTable, content, "catalogue")
+    fields = validate(CatalogueTable, content, "catalogue")
     diameters = [quantity_at(text, "m", "catalogue.diameters") for text in fields.diameters]
     if wrong := [text for text, size in zip(fields.diameters, diameters, strict=True) if not size > 0.0]:
         raise InputError(f"catalogue.diameters has {wrong[0]}: give diameters above 0")

@@ -67,14 +67,28 @@ class Entry:
     at_bound: bool | None = None
 
 
-class _EntryTable(BaseModel):
+class EntryTable(BaseModel):
+    """``[SECTION.KEY]``, a parameter."""
+
     model_config = STRICT
-    value: Any = Field(examples=['"..."'])
-    bounds: list[Any] | None = Field(None, min_length=2, max_length=2, examples=['["30 degC", "70 degC"]'])
-    source: str = Field("", examples=['"data sheet"'])
-    interval95: list[Any] | None = Field(None, min_length=2, max_length=2, examples=['["47.9 degC", "48.9 degC"]'])
-    free: bool | None = Field(None, examples=["true"])
-    at_bound: bool | None = Field(None, examples=["false"])
+    value: Any = Field(description="value of the parameter", examples=['"48.4 degC"'])
+    bounds: list[Any] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="lower and upper bound in a fit",
+        examples=['["30 degC", "70 degC"]'],
+    )
+    source: str = Field("", description="where the value comes from", examples=['"data sheet"'])
+    interval95: list[Any] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="95 % interval of an estimate, as a fit writes it",
+        examples=['["47.9 degC", "48.9 degC"]'],
+    )
+    free: bool | None = Field(None, description="whether a fit has estimated it", examples=["true"])
+    at_bound: bool | None = Field(None, description="whether the estimate is at its bound", examples=["false"])
 
 
 def read_parameters(path: str | Path) -> dict[str, Entry]:
@@ -212,7 +226,7 @@ def _entry(name: str, section: str, table: Any) -> Entry:
         raise InputError(f"there is no parameter '{name}'{hint}: {cure}")
     if not isinstance(table, dict):
         raise InputError(f'{name} = {show(table)} is not a table: write it as [{name}] with a line value = "..."')
-    fields = validate(_EntryTable, table, f'per_recording."{name}"' if at else name)
+    fields = validate(EntryTable, table, f'per_recording."{name}"' if at else name)
     errors = []
     # The unit of a name with two declarations, such as heat.h2, selects the law.
     for declaration in candidates:

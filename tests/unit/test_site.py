@@ -9,7 +9,7 @@ from pydantic import BaseModel
 import smajax
 from docs.generate import api, bibliography, effect_equations, keys, markdown, outputs, pages
 from smajax.control.controller_file import schema as controller
-from smajax.files import channel_settings, rig_schema, rig_structure
+from smajax.files import channel_settings, material_limits, parameter_sets, rig_schema, rig_structure
 from smajax.files.rig_file import read_rig
 from smajax.plant.effects import catalogue
 from smajax.report.topics import read_topics
@@ -20,6 +20,8 @@ MODULES = (
     rig_schema,
     rig_structure,
     channel_settings,
+    material_limits,
+    parameter_sets,
     controller,
     sweep_file,
     axis_sections,
@@ -34,6 +36,33 @@ SECTIONS = {
     if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__
 }
 MARKER = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+
+
+def test_the_page_of_other_actuators_has_every_key_of_the_shipped_files():
+    text = pages.PARTS["device-keys"]()
+    for path in sorted((ROOT / "data" / "actuators").glob("*/rig.toml")):
+        kind = path.parent.name
+        part = text.partition(f"\n## {kind} ")[2].partition("\n## ")[0]
+        for section, keys_of in tomllib.loads(path.read_text("utf-8")).items():
+            if section not in ("schema", "rig"):
+                rows = part.partition(f"\n### [{section}] ")[2].partition("\n### ")[0]
+                assert keys_of and all(f"| `{key}` |" in rows for key in keys_of), (kind, section)
+    assert "nan" not in text
+
+
+def test_the_page_of_parameter_sets_has_every_key_of_the_shipped_sets():
+    text = pages.PARTS["set-keys"]()
+    for path in sorted((ROOT / "data" / "parameters").glob("*.toml")):
+        for section, content in tomllib.loads(path.read_text("utf-8")).items():
+            tables = (
+                [content]
+                if section == "catalogue"
+                else [t for t in content.values()]
+                if isinstance(content, dict)
+                else []
+            )
+            known = [t for entry in tables for t in (entry if isinstance(entry, list) else [entry])]
+            assert all(f"| `{key}` |" in text for table in known if isinstance(table, dict) for key in table), path.name
 
 
 @pytest.mark.parametrize("model", SECTIONS.values(), ids=SECTIONS)
@@ -76,6 +105,9 @@ def test_the_catalogue_has_a_section_for_each_effect():
     for key, effect in catalogue().items():
         section = text.partition(f"\n## {key} ")[2].partition("\n## ")[0]
         assert effect.remedy and effect.remedy in section
+        assert all(
+            f"- **{name}**: " in section for name in ("Typical strength", "Confusable with", "A rig shows it that has")
+        )
         assert f"[effects.{key}]" in section and "`strength`" in section
 
 
@@ -95,7 +127,7 @@ def test_pictures_have_names_and_units_on_their_axes(tmp_path):
 
     pictures.main(tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert len(names) == 5 and not set(names) - {path.name for path in pictures.IMAGES.iterdir()}
+    assert len(names) == 7 and not set(names) - {path.name for path in pictures.IMAGES.iterdir()}
     charts = [path.read_text("utf-8") for path in tmp_path.iterdir() if "tick" in path.read_text("utf-8")]
     assert len(charts) == 3
     for text in charts:
@@ -106,7 +138,34 @@ def test_pictures_have_names_and_units_on_their_axes(tmp_path):
 def test_each_picture_is_on_a_page():
     texts = [path.read_text("utf-8") for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]]
     shown = {name for text in texts for name in re.findall(r"images/([\w-]+\.svg)", text)}
-    assert shown == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    pictures = {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    narrow = {name for name in pictures if name.endswith("-narrow.svg")}
+    assert shown == pictures - narrow and {name.replace("-narrow", "") for name in narrow} < shown
+
+
+# Width of a page on a screen of 390 pixels, and the smallest text in pixels that is read there without a lens.
+PAGE_PIXELS, TEXT_PIXELS = 343, 9
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "images").iterdir()), ids=lambda path: path.name)
+def test_texts_of_a_picture_can_be_read_on_a_phone(path):
+    narrow = path.with_name(f"{path.stem}-narrow.svg")
+    text = (narrow if narrow.is_file() else path).read_text("utf-8")
+    width = float(re.search(r'viewBox="0 0 ([\d.]+) ', text)[1])
+    sizes = [float(size) for size in re.findall(r"font(?:-size)?: (?:\w+ )*([\d.]+)px", text)]
+    assert sizes and min(sizes) * PAGE_PIXELS / width >= TEXT_PIXELS
+
+
+def test_a_picture_has_another_one_for_narrow_screens():
+    pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
+    pytest.importorskip("mkdocs")
+    from docs.generate import hook
+
+    image = '<img alt="a" src="../images/stages.svg" />'
+    content = hook.on_page_content(f"<p>{image}</p>", None, None, None)
+    assert content.endswith(f"{image}</picture></p>") and 'srcset="../images/stages-narrow.svg"' in content
+    other = '<img alt="a" src="../images/rollout.svg" />'
+    assert hook.on_page_content(other, None, None, None) == other
 
 
 def test_each_entry_of_the_bibliography_is_plain_text():
