@@ -16,7 +16,8 @@ sys.path.insert(0, str(ROOT))
 
 from docs.generate import pages  # noqa: E402
 from docs.generate.blocks import FILE, OUTPUT, REASON, blocks  # noqa: E402
-from docs.generate.outputs import clean_up, output_of, run_first, write_file  # noqa: E402
+from docs.generate.figures import FIGURE, SCRIPT, figure_of, plotly_script, with_figures  # noqa: E402
+from docs.generate.outputs import clean_up, output_of, run_python, write_file  # noqa: E402
 from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
@@ -25,6 +26,9 @@ FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 # Columns from which stylesheets/site.css shows a table as lists on narrow screens.
 LISTED_COLUMNS = 4
+# An image of docs/images, and the screens for which NAME-narrow.svg takes the place of NAME.svg.
+PICTURE = re.compile(r'<img\b[^>]*\bsrc="([^"]*images/)([\w-]+)\.svg"[^>]*>')
+NARROW_SCREEN = "(max-width: 45em)"
 # Between two equations of a formula.
 SEPARATOR = re.compile(r",\s*\\quad\s*")
 LEFT = re.compile(r"\\left(?!arrow)")
@@ -58,7 +62,13 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, name, content=text))
     for path in pages.LINKED_FILES:
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+    files.append(File.generated(config, SCRIPT, content=plotly_script()))
     return files
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Add the figures of a page."""
+    return with_figures(output, page.url)
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
@@ -68,17 +78,27 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
     for block in blocks(markdown):
         if block.is_first:
-            run_first(block.text, source)
+            run_python(block.text, source)
         elif block.file:
             write_file(block.file, block.text, source)
     markdown = FILE.sub(lambda match: f"`{match[1]}`:\n", markdown)
     markdown = REASON.sub(lambda match: f"*Not executed by the tests of this site: {match[1]}.*\n", markdown)
-    return OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
+    markdown = OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
+    return FIGURE.sub(lambda match: figure_of(match[1], match[2], source), markdown)
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
-    """Convert formulas to MathML, and name the columns in the cells of tables that narrow screens show as lists."""
-    return TABLE.sub(_labelled, LITERAL.sub(":", FORMULA.sub(_mathml, content)))
+    """Convert formulas to MathML, and prepare images and tables for narrow screens."""
+    content = PICTURE.sub(_by_width, FORMULA.sub(_mathml, content))
+    return TABLE.sub(_labelled, LITERAL.sub(":", content))
+
+
+def _by_width(match: re.Match[str]) -> str:
+    """Return an image with its drawing for narrow screens, where there is one."""
+    if not (ROOT / "docs" / "images" / f"{match[2]}-narrow.svg").is_file():
+        return match[0]
+    narrow = f'<source media="{NARROW_SCREEN}" srcset="{match[1]}{match[2]}-narrow.svg">'
+    return f"<picture>{narrow}{match[0]}</picture>"
 
 
 def _labelled(match: re.Match[str]) -> str:

@@ -47,12 +47,15 @@ def output_of(command: str, page: str) -> str:
     return "\n".join(["```text", *lines, "```"])
 
 
-def run_first(code: str, page: str) -> None:
-    """Run the Python code of a page that makes a file for its commands.
+def run_python(code: str, page: str) -> str:
+    """Run Python code in the folder of a page, such as code that makes a file for its commands.
 
     Args:
         code: The code.
         page: The page, which determines the folder.
+
+    Returns:
+        What the code prints.
 
     Raises:
         CommandError: If it fails.
@@ -60,6 +63,7 @@ def run_first(code: str, page: str) -> None:
     result = _run([sys.executable, "-c", code], page)
     if result.returncode:
         raise CommandError(f"the code of {page} failed: {result.stderr.strip()}")
+    return result.stdout
 
 
 def write_file(name: str, text: str, page: str) -> None:

@@ -7,7 +7,7 @@ build as well.
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from experiments.common.charts import STYLE, Chart, Curve, write_panels, write_svg
 
@@ -66,7 +66,7 @@ def draw_diagram(
     """
     import matplotlib
     from matplotlib.figure import Figure
-    from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+    from matplotlib.patches import FancyBboxPatch
 
     with matplotlib.rc_context({**STYLE, "font.size": 9}):
         figure = Figure(figsize=size)
@@ -84,61 +84,90 @@ def draw_diagram(
             axes.text(b.x, b.y + 0.085 * lines, head, ha="center", va="center", weight="bold")
             axes.text(b.x, b.y - 0.09, rest, ha="center", va="center", fontsize=8)
         for arrow in arrows:
-            start, end = boxes[arrow.start], boxes[arrow.end]
-            style = f"arc3,rad={arrow.bend}"
-            axes.add_patch(
-                FancyArrowPatch(
-                    (start.x, start.y),
-                    (end.x, end.y),
-                    patchA=patches[arrow.start],
-                    patchB=patches[arrow.end],
-                    arrowstyle="-|>",
-                    mutation_scale=11,
-                    color="#455a64",
-                    connectionstyle=style,
-                )
-            )
-            # The middle of a bent arrow is aside of the straight line by half of its curvature.
-            x, y = 0.5 * (start.x + end.x), 0.5 * (start.y + end.y)
-            x, y = x + 0.5 * arrow.bend * (end.y - start.y), y - 0.5 * arrow.bend * (end.x - start.x)
-            axes.text(x, y + 0.14, arrow.text, ha="center", va="center", fontsize=8, color="#455a64")
+            _draw_arrow(axes, arrow, boxes, patches)
         figure.savefig(path, format="svg", metadata={"Date": None})
 
 
+def _draw_arrow(axes: Any, arrow: Arrow, boxes: Sequence[Box], patches: Sequence[Any]) -> None:
+    """Draw an arrow with its text above it, or next to it where it goes up or down."""
+    from matplotlib.patches import FancyArrowPatch
+
+    start, end = boxes[arrow.start], boxes[arrow.end]
+    axes.add_patch(
+        FancyArrowPatch(
+            (start.x, start.y),
+            (end.x, end.y),
+            patchA=patches[arrow.start],
+            patchB=patches[arrow.end],
+            arrowstyle="-|>",
+            mutation_scale=11,
+            color="#455a64",
+            connectionstyle=f"arc3,rad={arrow.bend}",
+        )
+    )
+    # The middle of a bent arrow is aside of the straight line by half of its curvature.
+    x, y = 0.5 * (start.x + end.x), 0.5 * (start.y + end.y)
+    x, y = x + 0.5 * arrow.bend * (end.y - start.y), y - 0.5 * arrow.bend * (end.x - start.x)
+    upright = start.x == end.x
+    side = "center" if not upright else "right" if x < start.x else "left"
+    x, y = x + {"center": 0.0, "right": -0.06, "left": 0.08}[side], y + (0.0 if upright else 0.14)
+    axes.text(x, y, arrow.text, ha=side, va="center", fontsize=8, color="#455a64")
+
+
+# What the five stages do, and what each hands to the next.
+_STAGES = (
+    ("drive", "current, voltage,\npower, duty"),
+    ("heat", "convection,\nlatent heat"),
+    ("material", "fractions,\nstrain"),
+    ("mechanism", "load, spring,\nlimb"),
+    ("sensor", "gain, offset,\nlag"),
+)
+_CARRIED = ("q [W/m³]", "T [degC]", "ε [1]", "x [mm]")
+
+
 def stages(folder: Path) -> None:
-    """Draw the five stages of a plant."""
-    names = [
-        ("drive", "current, voltage,\npower, duty"),
-        ("heat", "convection,\nlatent heat"),
-        ("material", "fractions,\nstrain"),
-        ("mechanism", "load, spring,\nlimb"),
-        ("sensor", "gain, offset,\nlag"),
-    ]
-    boxes = [Box(f"{name}\n{text}", 0.75 + 1.62 * k, 1.1) for k, (name, text) in enumerate(names)]
-    carried = ("q [W/m³]", "T [degC]", "ε [1]", "x [mm]")
-    arrows = [Arrow(k, k + 1, text) for k, text in enumerate(carried)]
-    arrows += [Arrow(3, 2, "stress [MPa]", -0.75), Arrow(2, 0, "resistivity [ohm m]", 0.42)]
-    draw_diagram(boxes, arrows, (8.0, 2.2), (1.06, 0.72), folder / "stages.svg")
+    """Draw the five stages of a plant, from left to right, and from top to bottom for narrow screens."""
+    boxes = [Box(f"{name}\n{text}", 0.75 + 1.62 * k, 1.1) for k, (name, text) in enumerate(_STAGES)]
+    forward = [Arrow(k, k + 1, text) for k, text in enumerate(_CARRIED)]
+    back = [Arrow(3, 2, "stress [MPa]", -0.75), Arrow(2, 0, "resistivity [ohm m]", 0.42)]
+    draw_diagram(boxes, forward + back, (8.0, 2.2), (1.06, 0.72), folder / "stages.svg")
+    boxes = [Box(f"{name}\n{text}", 2.25, 4.85 - 1.1 * k) for k, (name, text) in enumerate(_STAGES)]
+    back = [Arrow(3, 2, "stress\n[MPa]", -1.75), Arrow(2, 0, "resistivity\n[ohm m]", -1.05)]
+    draw_diagram(boxes, forward + back, (3.6, 5.3), (1.3, 0.72), folder / "stages-narrow.svg")
+
+
+# The steps of a diagnosis; the last one is where it may end.
+_STEPS = (
+    ("base fit", "training recording"),
+    ("score test", "all effects"),
+    ("forward selection", "selection recording"),
+    ("other laws", "Tanaka, Lagoudas, ..."),
+    ("cells and grains", "both recordings"),
+    ("facts, candidates", "share of the excess"),
+    ("holdout", "computed once"),
+    ("error budget", "each effect in turn"),
+    ("next experiment", "where rivals remain"),
+    ("nothing missing", "residual at the noise"),
+)
 
 
 def diagnosis_flow(folder: Path) -> None:
-    """Draw the flow of a diagnosis."""
-    names = [
-        ("base fit", "training recording", 1.0, 3.6),
-        ("score test", "all effects", 3.0, 3.6),
-        ("forward selection", "selection recording", 5.0, 3.6),
-        ("other laws", "Tanaka, Lagoudas, ...", 5.0, 2.3),
-        ("cells and grains", "both recordings", 3.0, 2.3),
-        ("facts, candidates", "share of the excess", 1.0, 2.3),
-        ("holdout", "computed once", 1.0, 1.0),
-        ("error budget", "each effect in turn", 3.0, 1.0),
-        ("next experiment", "where rivals remain", 5.0, 1.0),
-        ("nothing missing", "residual at the noise", 7.0, 3.6),
-    ]
-    boxes = [Box(f"{name}\n{text}", x, y, name == "nothing missing") for name, text, x, y in names]
-    arrows = [Arrow(0, 1), Arrow(1, 2), Arrow(2, 3, ""), Arrow(3, 4), Arrow(4, 5), Arrow(5, 6), Arrow(6, 7)]
-    arrows += [Arrow(7, 8), Arrow(0, 9, "residual at the noise", -0.28)]
-    draw_diagram(boxes, arrows, (8.0, 4.7), (1.55, 0.66), folder / "diagnosis_flow.svg")
+    """Draw the flow of a diagnosis, in three columns, and in two for narrow screens."""
+    wide = [(1.0, 3.6), (3.0, 3.6), (5.0, 3.6), (5.0, 2.3), (3.0, 2.3), (1.0, 2.3), (1.0, 1.0), (3.0, 1.0), (5.0, 1.0)]
+    wide += [(7.0, 3.6)]
+    left, right = 0.88, 2.72
+    rows = [(left, 4.6), (left, 3.6), (right, 3.6), (right, 2.6), (left, 2.6), (left, 1.6), (right, 1.6), (right, 0.6)]
+    narrow = [*rows, (left, 0.6), (right, 4.6)]
+    steps = [Arrow(k, k + 1) for k in range(len(_STEPS) - 2)]
+    for places, size, end, name in (
+        (wide, (8.0, 4.7), Arrow(0, 9, "residual at the noise", -0.28), "diagnosis_flow"),
+        (narrow, (3.6, 5.1), Arrow(0, 9), "diagnosis_flow-narrow"),
+    ):
+        boxes = [
+            Box(f"{head}\n{text}", *place, head == "nothing missing")
+            for (head, text), place in zip(_STEPS, places, strict=True)
+        ]
+        draw_diagram(boxes, [*steps, end], size, (1.55, 0.66), folder / f"{name}.svg")
 
 
 def phase_diagram(folder: Path) -> None:

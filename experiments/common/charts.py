@@ -1,5 +1,6 @@
 """Line charts of the experiments: a small SVG for the documentation, and a self-contained plotly page."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +19,21 @@ _COLOURS = (
     "#333333",
     "#999999",
 )
-_INCHES = (7.6, 4.2)
-_PANEL_INCHES = 3.0  # height of one of several panels
+# The texts remain legible on a phone, whose pages are about 3.6 inches wide.
+_INCHES = (5.2, 3.6)
+_PANEL_INCHES = 3.2  # height of one of several panels
+_POINTS = 10.5
+# The largest number of curves whose names stand within the axes, and the distance of others below these.
+_INSIDE = 2
+_LEGEND_INCHES = 0.72
 # Settings of matplotlib; a fixed salt of the names in a file keeps equal charts equal.
 STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "smajax",
     "font.family": "sans-serif",
+    "font.size": _POINTS,
+    "axes.titlesize": "medium",
+    "legend.fontsize": "medium",
     "axes.grid": True,
     "axes.edgecolor": "#e5e5e5",
     "axes.labelcolor": "#333333",
@@ -150,7 +159,12 @@ def _draw_axes(axes: Any, chart: Chart) -> None:
     for axis, is_log in ((axes.xaxis, chart.log_x), (axes.yaxis, chart.log_y)):
         if is_log:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.legend()
+    if len(chart.curves) <= _INSIDE:
+        axes.legend()
+        return
+    height = axes.figure.get_figheight() / len(axes.figure.axes)
+    place = (0.43, -_LEGEND_INCHES / height)
+    axes.legend(loc="upper center", bbox_to_anchor=place, ncols=2, handlelength=1.4, columnspacing=0.9)
 
 
 def _colours(count: int) -> list[str]:
@@ -172,8 +186,8 @@ class Bars:
     values: Sequence[float]
 
 
-# Inches of a bar's row and of a group's title, and the largest number of characters of a name.
-_ROW_INCHES, _TITLE_INCHES, _NAME_LENGTH = 0.24, 0.55, 60
+# Inches of a line of a name and of a group's title, characters of such a line, and lines from one bar to the next name.
+_LINE_INCHES, _TITLE_INCHES, _LINE_LENGTH, _BAR_LINES = 0.18, 0.55, 58, 1.5
 
 
 def draw_bars(groups: Sequence[Bars], folder: Path, name: str, label: str) -> Path:
@@ -191,19 +205,22 @@ def draw_bars(groups: Sequence[Bars], folder: Path, name: str, label: str) -> Pa
     import matplotlib
     from matplotlib.figure import Figure
 
-    heights = [_TITLE_INCHES + _ROW_INCHES * len(group.names) for group in groups]
+    names = [[textwrap.wrap(name, _LINE_LENGTH) for name in group.names] for group in groups]
+    # Places of the names from the top, and of the end, in lines.
+    places = [np.cumsum([0.0, *(len(lines) + _BAR_LINES for lines in group)]) for group in names]
+    heights = [_TITLE_INCHES + _LINE_INCHES * float(place[-1]) for place in places]
     path = folder / f"{name}.svg"
-    with matplotlib.rc_context(STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True, "font.size": 8}):
+    with matplotlib.rc_context(STYLE | {"axes.grid.axis": "x", "axes.axisbelow": True}):
         figure = Figure(figsize=(_INCHES[0], sum(heights) + 0.3), layout="constrained")
-        for axes, group in zip(
-            np.ravel(figure.subplots(len(groups), 1, height_ratios=heights, squeeze=False)), groups, strict=True
-        ):
-            names = [n if len(n) <= _NAME_LENGTH else f"... {n[4 - _NAME_LENGTH :]}" for n in group.names]
-            rows = np.arange(len(names))[::-1]
-            drawn = axes.barh(rows, group.values, color=_COLOURS[0], height=0.6)
+        every = np.ravel(figure.subplots(len(groups), 1, height_ratios=heights, squeeze=False))
+        for axes, group, texts, place in zip(every, groups, names, places, strict=True):
+            ends = place[:-1] + [len(lines) for lines in texts]
+            drawn = axes.barh(ends + 0.5, group.values, color=_COLOURS[0], height=0.9)
             axes.bar_label(drawn, fmt="%.2f", padding=3)
-            axes.set_yticks(rows, names)
-            axes.set_title(group.title, loc="left")
+            for top, lines in zip(place, texts, strict=False):
+                axes.annotate("\n".join(lines), (0.0, top), (2.0, 0.0), textcoords="offset points", va="top")
+            axes.set(ylim=(place[-1], -0.3), yticks=[])
+            axes.set_title(group.title, loc="left", weight="bold")
             axes.margins(x=0.12)
         axes.set_xlabel(label)
         figure.savefig(path, format="svg", metadata={"Date": None})

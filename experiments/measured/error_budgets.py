@@ -274,7 +274,7 @@ def main() -> None:
         budgets += made
         details += rows
     if args.out:
-        label = "held-out error over that of the naive forecast"
+        label = "held-out error over that of the naive forecast [1]"
         draw_bars([bars(budget) for budget in budgets], args.out, "error_budgets", label)
     rows = [row for budget in budgets for row in budget.rows()]
     words = "".join(f" {name}" for name in args.names)

@@ -76,7 +76,7 @@ def time_picture(
             residual, axis = series.residual(channel), panel_axis(panel)
             trace, _ = line_trace(series.time, residual, f"residual of {channel}", RESIDUAL, axis, in_legend=False)
             data.append(trace)
-            set_panel_title(layout, panel, "residual", panels)
+            set_panel_title(layout, panel, axis_title("residual", {"residual": series.units[channel]}), panels)
             shapes += noise_band(floor.get(channel), axis)
             panel += 1
     for unit, group in groups.items():
@@ -123,7 +123,8 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
             data.append(trace.update(legendgroup=name, visible=True if k < _MODELS_SHOWN else "legendonly"))
             thinned |= is_thinned
     set_panel_title(layout, 0, axis_title(channel, first.units), panels)
-    set_panel_title(layout, 1, "measured - model", panels)
+    difference = "measured - model"
+    set_panel_title(layout, 1, axis_title(difference, {difference: first.units[channel]}), panels)
     caption = "Grey is measured. Click a name to show or hide a model; below, the residual of each model."
     caption += thin_note(len(first.time), thinned, MAX_POINTS_OF_MANY)
     title = f"{split_label(first.name)[0]} ({role})"

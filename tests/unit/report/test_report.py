@@ -266,7 +266,7 @@ def test_the_time_picture_shows_measured_model_residual_and_input():
     assert [trace["yaxis"] for trace in figure["data"]] == ["y", "y", "y2", "y3"]
     assert [figure["layout"][axis]["title"]["text"] for axis in ("yaxis", "yaxis2", "yaxis3")] == [
         "displacement [mm]",
-        "residual",
+        "residual<br>[mm]",
         "current<br>[mA]",
     ]
     assert figure["layout"]["xaxis"]["title"]["text"] == "time [s]"
