@@ -32,6 +32,7 @@ def figure_of(result: str, text: str, page: str) -> str:
     """
     study = result if "(" in result else f"sma.load({result!r})"
     figure = json.loads(run_python(_PLOT.format(study=study), page))
+    figure["layout"]["dragmode"] = False  # a finger on the figure scrolls the page
     height = figure["layout"].get("height", 450)
     place = f"figure-{len(_drawn) + 1}"
     _drawn[place] = json.dumps(figure).replace("</", "<\\/")

@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 import smajax
-from docs.generate import api, bibliography, effect_equations, keys, markdown, outputs, pages
+from docs.generate import api, bibliography, effect_equations, figures, keys, markdown, outputs, pages
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, material_limits, parameter_sets, rig_schema, rig_structure
 from smajax.files.rig_file import read_rig
@@ -154,6 +154,26 @@ def test_texts_of_a_picture_can_be_read_on_a_phone(path):
     width = float(re.search(r'viewBox="0 0 ([\d.]+) ', text)[1])
     sizes = [float(size) for size in re.findall(r"font(?:-size)?: (?:\w+ )*([\d.]+)px", text)]
     assert sizes and min(sizes) * PAGE_PIXELS / width >= TEXT_PIXELS
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda path: path.stem)
+def test_a_tutorial_shows_a_figure_of_what_it_computes(page):
+    text = page.read_text("utf-8")
+    found = figures.FIGURE.findall(text)
+    assert found
+    for result, shows in found:
+        assert "(" in result or f" --out {result} -->" in text, "the folder of a command of the page"
+        assert len(shows.split()) > 5
+
+
+def test_a_figure_is_drawn_from_the_files_of_the_site(monkeypatch):
+    drawn = '{"data": [{"name": "</script>"}], "layout": {"height": 300}}'
+    monkeypatch.setattr(figures, "run_python", lambda code, page: drawn if "sma.load('found')" in code else "")
+    place = figures.figure_of("found", 'a "b"', "tutorials/a.md")
+    assert "height: 300px" in place and 'aria-label="a &quot;b&quot;"' in place
+    page = figures.with_figures(f"<body>{place}</body>", "tutorials/a.html")
+    assert '<script src="../scripts/plotly.min.js"></script>' in page and page.count("</script>") == 2
+    assert "Plotly.newPlot(" in page and figures.with_figures("<body></body>", "a.html") == "<body></body>"
 
 
 def test_a_picture_has_another_one_for_narrow_screens():
