@@ -29,6 +29,7 @@ from smajax.fitting.fit import fit as fit_plant
 from smajax.fitting.fit_quality import unusable_reason
 from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.preparation import compile_in_background
 from smajax.fitting.profile import profile_labels, profile_likelihood
 from smajax.fitting.responses import start_responses
 from smajax.fitting.result import FitResult, Response
@@ -135,9 +136,9 @@ def fit(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        rig, options = as_rig(rig), (seed, starts, max_steps, input_noise)
+        rig, options = as_rig(rig), (start, (seed, starts, max_steps, input_noise), profile, drop_bad_rows)
         sources = fit_sources(rig, train, holdout, split, drop_bad_rows)
-        inputs = _with_findings(_read_inputs(rig, *sources, start, options, profile, drop_bad_rows), auto, reporter)
+        inputs = _with_findings(_read_inputs(rig, *sources, *options), auto, reporter, solver)
     inputs, search, failure = _search_with_offsets(inputs, auto, (solver, max_steps, reporter, clock))
     reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search, failure)
@@ -233,8 +234,14 @@ def _read_inputs(
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 
 
-def _with_findings(inputs: _FitInputs, auto: bool, reporter: Reporter) -> _FitInputs:
-    """Add what the recordings show about their bench, and with ``auto`` the offsets among it as free parameters."""
+def _with_findings(inputs: _FitInputs, auto: bool, reporter: Reporter, solver: Any) -> _FitInputs:
+    """Add what the recordings show about their bench, and with ``auto`` the offsets among it as free parameters.
+
+    Meanwhile the default search is compiled.
+    """
+    if solver is None:
+        settings: Any = inputs.settings  # frozen, and the protocol of ``fit`` has plain attributes
+        compile_in_background(inputs.rig.plant, inputs.with_role("train"), settings, inputs.rig.interpolation)
     findings = rig_findings(inputs.rig, [recording for recording, _ in inputs.recordings])
     return _add_findings(inputs, findings, auto, reporter)
 

@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import equinox as eqx
+import jax
+import numpy as np
 
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig, parse_rig, read_rig
 from smajax.files.warm_start import warm_start_plant
+from smajax.plant.plant import Plant
 from smajax.recordings.sources import TAKES, as_source_list, is_path, is_recording_source
 
 # A rig, the path of its file, or a dictionary with the sections of a rig file.
@@ -40,7 +43,16 @@ def rig_text(rig: Rig) -> str:
     folder = rig.path.parent if rig.path is not None else None
     same = parse_rig(rig.text, rig.name, folder, drop_misplaced=True)
     settings, given = ((r.fit, r.channels, r.interpolation, r.recording) for r in (same, rig))
-    return rig.text if settings == given and bool(eqx.tree_equal(same.plant, rig.plant)) else rig.to_toml()
+    return rig.text if settings == given and _are_equal(same.plant, rig.plant) else rig.to_toml()
+
+
+def _are_equal(first: Plant, second: Plant) -> bool:
+    """Whether two plants are equal, compared by NumPy: with JAX each shape would be compiled."""
+
+    def as_numpy(plant: Plant) -> Any:
+        return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, plant)
+
+    return bool(eqx.tree_equal(as_numpy(first), as_numpy(second)))
 
 
 def with_start(rig: Rig, start: str | Path | None) -> Rig:

@@ -152,8 +152,8 @@ def slotted_model(
         matrix[first : first + KNOTS, len(free) : len(free) + term.matrix.shape[1]] = term.matrix
         variable = VARIABLES.index(term.variable)
         selection[variable], low[variable], high[variable] = 1.0, term.low, term.high
-    term_arrays = (jnp.asarray(selection), jnp.asarray(low), jnp.asarray(high))
-    return SlottedModel(problem, jnp.asarray(fixed), jnp.asarray(matrix), term_arrays, names)
+    fixed, matrix, ranges = jax.device_put((fixed, matrix, (selection, low, high)))
+    return SlottedModel(problem, fixed, matrix, ranges, names)
 
 
 def residual(vector: Float[Array, " p"], args: tuple[SlottedModel, Simulated]) -> Float[Array, " residuals"]:
@@ -226,8 +226,9 @@ def start_compilation(
     Returns:
         The threads; the programs are compiled when they have ended.
     """
-    point, unbounded = jnp.asarray(vector), np.full(len(vector), np.inf)
-    blank = Simulated(model.blank_trajectories(point), jnp.zeros(model.problem.size))
+    point, unbounded = jax.device_put(vector), np.full(len(vector), np.inf)
+    shapes = jax.eval_shape(lambda: Simulated(model.blank_trajectories(point), jnp.zeros(model.problem.size)))
+    blank = jax.tree.map(lambda leaf: jax.device_put(np.zeros(leaf.shape, leaf.dtype)), shapes)
     options = {"primal_fn": lambda *_: blank, "secant_updates": secant_updates}
     derivatives = start_solver(model, vector, -unbounded, unbounded, **options)
     derivatives.trace_program()

@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters
@@ -124,7 +123,7 @@ def possible_effects(
     modelled: dict[str, AbstractEffect] = {
         e.key: e for e in plant.effects if e.key in fitted or float(e.strength) != 0.0
     }
-    in_plant = {e.key: dataclasses.replace(e, strength=jnp.asarray(0.0)) for e in plant.effects}
+    in_plant = {e.key: dataclasses.replace(e, strength=0.0) for e in plant.effects}
     candidates = {
         key: _zero_effect(kind, plant, recordings) if key in catalogue() else in_plant[key]
         for key, kind in effect_kinds(plant).items()
@@ -142,7 +141,7 @@ def _zero_effect(kind: type[AbstractEffect], plant: Plant, recordings: Sequence[
     if "place" in declared and (motion := _largest_motion(plant, recordings)):
         values["place"] = motion
     limited = {name: min(max(v, declared[name].lower), declared[name].upper) for name, v in values.items()}
-    return kind(**{name: jnp.asarray(v) for name, v in limited.items()})  # pyright: ignore[reportCallIssue]
+    return kind(**limited)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
 def _largest_motion(plant: Plant, recordings: Sequence[Recording]) -> float:

@@ -5,7 +5,6 @@ import functools
 import math
 
 import numpy as np
-import scipy.optimize
 
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import SELECT, TRAIN
@@ -89,6 +88,8 @@ class _JointResidual:
 
 def _minimise(problem: DiagnosisProblem, refit: Refit) -> Refit:
     """The joint refit by one search, with onset times as continuous parameters."""
+    from scipy.optimize import least_squares  # slow to import: while programs are compiled (slotted_programs)
+
     function = _JointResidual(problem, refit)
     lower, upper = problem.vector_bounds(function.free)
     start = function.start().clip(lower, upper)
@@ -105,7 +106,7 @@ def _minimise(problem: DiagnosisProblem, refit: Refit) -> Refit:
 
     # SciPy's own step length overflows where a singular value is next to 0.
     with np.errstate(over="ignore"):
-        result = scipy.optimize.least_squares(
+        result = least_squares(
             lambda x: function.evaluate(pack(x))[0],
             start[free],
             lambda x: function.evaluate(pack(x))[1][:, free],  # pyright: ignore[reportArgumentType]

@@ -103,7 +103,7 @@ KINDS = (FreeHeat, FreeShift, FreeStrain)
 
 def zero_terms() -> tuple[FreeHeat, FreeShift, FreeStrain]:
     """Return one term of each kind, all zero."""
-    knots, zeros, ones = jnp.zeros(KNOTS), jnp.zeros(len(VARIABLES)), jnp.ones(len(VARIABLES))
+    knots, zeros, ones = jax.device_put((np.zeros(KNOTS), np.zeros(len(VARIABLES)), np.ones(len(VARIABLES))))
     ranges = {"selection": zeros, "low": zeros, "high": ones}
     return FreeHeat(knots=knots, **ranges), FreeShift(knots=knots, **ranges), FreeStrain(knots=knots, **ranges)
 

@@ -108,12 +108,11 @@ class DiagnosisProblem(GriddedSplits):
         self.simulations: int = 0
         self._counting = threading.Lock()
         self._programs = SlottedPrograms(self.effect_parameters)
-        self._compiling = self._programs.start_compilation(self.problems[TRAIN], self.nominal)
+        self._programs.start_compilation(self.problems[TRAIN], self.nominal)
 
     def wait_for_compilation(self) -> None:
         """Wait until the large programs are compiled."""
-        for thread in self._compiling:
-            thread.join()
+        self._programs.wait_for_compilation()
 
     def count_simulations(self, count: int) -> None:
         """Add to the number of simulations; safe in threads."""

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -59,13 +58,19 @@ def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Pr
         entries = np.concatenate([np.arange(shared), own_entries]).astype(int)
         # The first split's unknowns serve all, as static data of one program.
         unknowns = unknowns or tuple(whole.unknowns[i] for i in entries)
-        data = jax.tree.map(lambda leaf, at=recordings: leaf[at] if leaf.ndim else leaf, whole.data)
-        problems.append(dataclasses.replace(whole, data=data, scales=whole.scales[entries], unknowns=unknowns))
+        data = jax.tree.map(lambda leaf, at=recordings: _rows_of(leaf, at), whole.data)
+        scales = _rows_of(whole.scales, entries)
+        problems.append(dataclasses.replace(whole, data=data, scales=scales, unknowns=unknowns))
         nominal, (lower, upper) = whole.nominal[entries], (side[entries] for side in whole.bounds)
         held = np.arange(len(entries)) >= shared + own * count
         bounds.append(VectorBounds(nominal, np.where(held, nominal, lower), np.where(held, nominal, upper)))
         first += count
     return problems, bounds
+
+
+def _rows_of(leaf: jax.Array, rows: np.ndarray) -> jax.Array:
+    """Rows of an array, by NumPy: with JAX each shape would be compiled; a number is returned as it is."""
+    return jax.device_put(np.asarray(leaf)[rows]) if leaf.ndim else leaf
 
 
 def with_weights(problem: Problem, rows: Sequence[np.ndarray], noise: Mapping[str, float]) -> Problem:
@@ -80,7 +85,7 @@ def with_weights(problem: Problem, rows: Sequence[np.ndarray], noise: Mapping[st
     inverse = np.array([1.0 / noise[c] for c in problem.channels])
     for k, scored in enumerate(rows):
         weight[k][:, scored] = inverse[:, None]
-    return dataclasses.replace(problem, data=eqx.tree_at(lambda d: d.weight, problem.data, jnp.asarray(weight)))
+    return dataclasses.replace(problem, data=eqx.tree_at(lambda d: d.weight, problem.data, jax.device_put(weight)))
 
 
 class GriddedSplits:
@@ -115,7 +120,7 @@ class GriddedSplits:
         # Built together, so that all grids have the length of the longest.
         everything = [r for split in self.splits for r in split.recordings]
         whole = build_problem(plant, everything, settings, **grid_options)
-        end = jnp.max(whole.data.inputs.sample_indices)
+        end = jax.device_put(np.max(np.asarray(whole.data.inputs.sample_indices)))
         whole = dataclasses.replace(whole, data=dataclasses.replace(whole.data, end_index=end))
         largest_weight = np.max(np.asarray(whole.data.weight), axis=(0, 2))
         self.noise: dict[str, float] = dict(zip(self.channels, 1.0 / largest_weight, strict=True))
@@ -232,6 +237,7 @@ class GriddedSplits:
         if len(inputs.time) > points or len(inputs.sample_indices) > samples:
             return None
         padded = inputs.pad(points, samples)
-        inputs = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(np.asarray(leaf)[None], count, axis=0)), padded)
-        data = dataclasses.replace(train.data, inputs=inputs, end_index=jnp.max(inputs.sample_indices))
+        inputs = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], count, axis=0), padded)
+        end = np.max(inputs.sample_indices)
+        data = dataclasses.replace(train.data, **jax.device_put({"inputs": inputs, "end_index": end}))
         return with_weights(dataclasses.replace(train, data=data), [np.arange(len(recording))], self.noise)

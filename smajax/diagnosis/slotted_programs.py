@@ -1,5 +1,6 @@
 """Which effect parameters the slots of the compiled programs hold, and the programs with more slots."""
 
+import importlib
 import threading
 from collections.abc import Sequence
 
@@ -23,6 +24,9 @@ from smajax.diagnosis.effect_parameters import EffectParameters
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
 
+# Modules that the refits and intervals of a diagnosis import where they use them.
+_NEEDED_LATER = ("scipy.optimize", "scipy.stats")
+
 
 class SlottedPrograms:
     """The compiled programs of a diagnosis with their data for a set of effects.
@@ -36,8 +40,9 @@ class SlottedPrograms:
     def __init__(self, effect_parameters: EffectParameters):
         self._parameters = effect_parameters
         self._compiled, self._compiling = {SLOTS}, threading.Lock()
+        self._threads: list[threading.Thread] = []
 
-    def start_compilation(self, problem: Problem, base: Float[np.ndarray, " p"]) -> list[threading.Thread]:
+    def start_compilation(self, problem: Problem, base: Float[np.ndarray, " p"]) -> None:
         """Compile the usual programs in the background (``compiled_model.start_compilation``).
 
         Args:
@@ -46,7 +51,14 @@ class SlottedPrograms:
         """
         empty = EffectSet()
         model, vector = self.model(problem, empty), self.vector(empty, base, ())
-        return start_compilation(model, vector, secant_updates=problem.has_structure)
+        self._threads = start_compilation(model, vector, secant_updates=problem.has_structure)
+
+    def wait_for_compilation(self) -> None:
+        """Wait until the usual programs are compiled; what is slow to import and needed later is imported meanwhile."""
+        for module in _NEEDED_LATER:
+            importlib.import_module(module)
+        for thread in self._threads:
+            thread.join()
 
     def start_solver(
         self,

@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from smajax.fitting.problem import FitData, Problem
@@ -61,13 +60,13 @@ def with_longer_steps(
     coarse = [grid.coarsen(stride, held=interpolation == "hold", pieces=pieces) for grid in grids]
     coarse += coarse[-1:] * (len(problem.data.measured) - len(coarse))
     points, samples = problem.data.inputs.time.shape[1], problem.data.inputs.sample_indices.shape[1]
-    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(grid.pad(points, samples) for grid in coarse))
+    inputs = jax.tree.map(lambda *leaves: np.stack(leaves), *(grid.pad(points, samples) for grid in coarse))
     measured, weight = (np.zeros(problem.data.measured.shape) for _ in range(2))
     count = -(-samples // stride)
     measured[:, :, :count], weight[:, :, :count] = (
         np.asarray(a)[:, :, ::stride] for a in (problem.data.measured, problem.data.weight)
     )
-    data = FitData(inputs, jnp.asarray(measured), jnp.asarray(weight), jnp.max(inputs.sample_indices))
+    data = FitData(*jax.device_put((inputs, measured, weight, np.max(inputs.sample_indices))))
     return dataclasses.replace(problem, data=data)
 
 
@@ -85,6 +84,7 @@ def with_halved_steps(problem: Problem) -> tuple[Problem, list[int]]:
     halves = [
         jax.tree.map(lambda leaf, k=k: leaf[k], problem.data.inputs).halve() for k in range(len(problem.data.measured))
     ]
-    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(inputs for inputs, _ in halves))
-    data = dataclasses.replace(problem.data, inputs=inputs, end_index=jnp.max(inputs.sample_indices))
+    inputs = jax.tree.map(lambda *leaves: np.stack(leaves), *(inputs for inputs, _ in halves))
+    end = np.max(inputs.sample_indices)
+    data = dataclasses.replace(problem.data, **jax.device_put({"inputs": inputs, "end_index": end}))
     return dataclasses.replace(problem, data=data), [samples for _, samples in halves]

@@ -74,8 +74,10 @@ def _surroundings(plant: Plant, fit: FitSettings, recording: Recording) -> list[
             "only the reference of the thermal strain here: take it out of [fit]"
         )
     for name in SURROUNDINGS:
+        if name not in recording.channels or name in driving or _is_prescribed(plant):
+            continue
         effects = [key for key, effect in catalogue().items() if name in getattr(effect, "surroundings", ())]
-        if name in recording.channels and name not in driving and effects and not _is_prescribed(plant):
+        if effects:
             notes.append(f"{name} is recorded and not used: add [effects.{effects[0]}], whose strength can be fitted")
     return notes
 

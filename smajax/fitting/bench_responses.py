@@ -13,7 +13,7 @@ from smajax.simulation import run
 from smajax.simulation.inputs import Inputs, count_steps, discretise
 from smajax.simulation.padding import pad_together
 from smajax.simulation.status import SimulationStatus
-from smajax.simulation.step_size import time_constant
+from smajax.simulation.step_size import wire_time_constant
 
 # Kinds of channels whose sign and size a transformation sets.
 MECHANICAL = ("displacement", "angle", "rate", "force", "torque", "stress", "strain")
@@ -70,7 +70,7 @@ def grid_of(plant: Plant, recording: Recording) -> Inputs | None:
     if isinstance(plant.heat, PrescribedTemperature):
         return None
     spacing = float(np.median(np.diff(recording.time)))
-    pace = SETTLED * float(time_constant(plant)) / spacing
+    pace = SETTLED * wire_time_constant(plant) / spacing
     faster = dataclasses.replace(recording, time=recording.time * min(pace, 1.0))
     return discretise(plant, faster) if count_steps(plant, faster) <= _MAX_STEPS else None
 
@@ -87,7 +87,7 @@ def response_to(plant: Plant, inputs: Inputs, rows: int) -> BenchResponse:
     failed = int(response.status) != SimulationStatus.done
     temperature = np.asarray(response.state.temperature)[:rows]
     temperature = temperature.reshape(rows, -1, temperature.shape[-1]).mean(axis=1)
-    martensite = np.asarray(response.state.fractions.martensite)[:rows]
+    martensite = sum(np.asarray(fraction)[:rows] for fraction in response.state.fractions)
     with np.errstate(invalid="ignore"):
         transforms = bool(np.max(np.ptp(martensite, axis=0)) > _TRANSFORMS)
     channels = {c: np.full(rows, np.nan) if failed else np.asarray(v)[:rows] for c, v in response.channels.items()}

@@ -11,7 +11,7 @@ from smajax.fitting.bench_responses import MECHANICAL, SETTLED, BenchResponse, g
 from smajax.fitting.noise import difference_noise
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
-from smajax.simulation.step_size import time_constant
+from smajax.simulation.step_size import wire_time_constant
 from smajax.units import from_si
 
 # Thresholds without a stated reason were chosen by trial (tests/unit/fitting/test_bench_checks.py).
@@ -99,7 +99,7 @@ def scale_doubt(
 
 def _slow_clock(plant: Plant, recording: Recording, channels: Sequence[str], correlation: float) -> ScaleDoubt | None:
     """A clock in ms or us that was read as s: rows far apart for the wire, whose motion still lags behind its input."""
-    spacing, settling = float(np.median(np.diff(recording.time))), float(time_constant(plant))
+    spacing, settling = float(np.median(np.diff(recording.time))), wire_time_constant(plant)
     if spacing < SETTLED * settling:
         return None
     best = _best(plant, recording, channels, clocks=[f for f in _TIME_FACTORS if f < 1.0], inputs=())
@@ -139,8 +139,7 @@ def _hottest(response: BenchResponse) -> float:
 
 
 def _austenite_start(plant: Plant) -> float:
-    law = plant.effective_material
-    return float(law.austenite_start + law.austenite_shift)
+    return float(plant.material.austenite_start) + float(plant.material.austenite_shift)
 
 
 def _correlation(recording: Recording, response: BenchResponse, channels: Sequence[str]) -> float:

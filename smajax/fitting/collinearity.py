@@ -7,7 +7,6 @@ import dataclasses
 import math
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float
 
 # Response of a normalised direction below which its parameters are collinear: the inverse of the collinearity index of
@@ -62,7 +61,7 @@ def find_collinear_groups(
     if len(effective) < 2:
         return groups
     unit = jacobian[:, effective] / length[effective]
-    values, vectors = scipy.linalg.eigh(unit.T @ unit)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
     for value, vector in zip(values, vectors.T, strict=True):
         response = math.sqrt(max(value, 0.0))
         if response > threshold:

@@ -8,6 +8,9 @@
   time.
 - Two programs (``primal_fn`` of ``smajax.fitting.multi_start.MultiStartSolver``): simulation and derivatives are
   compiled in parallel, and the derivatives are computed only for accepted steps.
+- The starts of a search run one program without a batch, in a thread for each core, so that fits with any number of
+  starts, profiles and refits share it, and a search that has ended costs nothing (``smajax.fitting.multi_start``).
+- That program is compiled in the background while the recordings are checked (``smajax.fitting.preparation``).
 - ``residual`` and ``costs`` in ``smajax.fitting.abstract_problem`` are one compiled program each for all searches.
 """
 

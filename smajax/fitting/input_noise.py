@@ -16,7 +16,7 @@ import numpy as np
 
 from smajax.channels import channel_unit
 from smajax.fitting.abstract_problem import residual
-from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartSolver
+from smajax.fitting.multi_start import LAZY_FROM, MultiStartSolver
 from smajax.fitting.noise import row_noise
 from smajax.fitting.problem import build_problem
 from smajax.fitting.result import FitResult
@@ -99,8 +99,8 @@ def _refit_change(
         noisy.append(dataclasses.replace(recording, channels={**recording.channels, channel: scattered}))
     problem = build_problem(plant, noisy, settings, interpolation=result.interpolation, step=result.step)
     starts = np.tile(result.vector, (result.starts, 1))
-    sequential = len(recordings) >= SEQUENTIAL_FROM
-    solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
+    lazy = len(recordings) >= LAZY_FROM
+    solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, lazy_jacobian=lazy)
     point = solver.advance(_MAX_STEPS).result().points[0]
     scales = np.array([u.scale for u in result.problem.unknowns])
     return (point - result.vector) * scales

@@ -13,7 +13,6 @@ Source: morelli1995 (covariance under coloured residuals), akaike1974 and levins
 """
 
 import numpy as np
-import scipy.special
 from jaxtyping import Float
 
 from smajax.fitting.autoregression import autoregressive_spectrum, fit_autoregression
@@ -135,4 +134,6 @@ def student_quantile(samples: int, parameters: int) -> float:
         samples: Number of samples.
         parameters: Number of free parameters; their difference, at least 1, is the degrees of freedom.
     """
-    return float(scipy.special.stdtrit(max(samples - parameters, 1), _UPPER_PROBABILITY))
+    from scipy.special import stdtrit  # slow to import
+
+    return float(stdtrit(max(samples - parameters, 1), _UPPER_PROBABILITY))

@@ -1,7 +1,8 @@
 """Least-squares searches from several starts, step by step.
 
-``MultiStartSolver`` drives ``BoundedLevenbergMarquardt`` on a batch of starts, so that progress can be shown, an
-interruption keeps the best point so far, and the failure of one start does not affect the others.
+``MultiStartSolver`` drives ``BoundedLevenbergMarquardt`` from several starts, so that progress can be shown, an
+interruption keeps the best point so far, and the failure of one start does not affect the others. The starts are shared
+among the processor's cores; an accelerator takes all of them as one batch.
 """
 
 import dataclasses
@@ -17,6 +18,7 @@ import numpy as np
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, SEARCH_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
+from smajax.numerics.ensemble import evaluate_members, share_among_cores
 from smajax.numerics.stored_programs import stored
 from smajax.progress import CallbackStop, stoppable
 
@@ -25,9 +27,11 @@ from smajax.progress import CallbackStop, stoppable
 _MIN_SCREENED = 48
 # Least number of these per start; chosen by trial on fits of rigs.
 _SCREENED_PER_START = 4
-# From this number of recordings on, one simulation is a wide batch by itself, and the starts are searched one after
-# another. Chosen by trial for speed.
-SEQUENTIAL_FROM = 4
+# Points of one batch when starts are chosen, so that the cores share them. Chosen by trial for speed.
+_SCREENED_AT_ONCE = 12
+# From this number of recordings on, a Jacobian costs so much more than a simulation that it is evaluated only where a
+# step is accepted. Chosen by trial for speed.
+LAZY_FROM = 4
 
 
 def screen_starts(
@@ -95,13 +99,13 @@ def screen_displaced_starts(
 
 
 def _costs_in_parts(problem: AbstractFitProblem, points: np.ndarray, at_once: int | None) -> np.ndarray:
-    """Costs (m,) of points (m, p), in batches of equal size, so that one program serves all of them."""
-    count = len(points)
-    size = min(at_once or count, count)
-    # The last batch is filled up with copies of the last point.
-    filled = np.concatenate([points, np.repeat(points[-1:], -count % size, axis=0)])
-    parts = [np.asarray(costs(problem, jnp.asarray(part))) for part in np.split(filled, len(filled) // size)]
-    return np.concatenate(parts)[:count]
+    """Costs (m,) of points (m, p), in batches of one size; one after another where not all fit into the memory."""
+    batch = len(points) if jax.default_backend() != "cpu" else _SCREENED_AT_ONCE
+    is_limited = at_once is not None and at_once < len(points)
+    size = min(batch, at_once or batch)
+    return evaluate_members(
+        lambda part: costs(problem, jax.device_put(part)), points, size, workers=1 if is_limited else None
+    )
 
 
 class MultiStartResult(NamedTuple):
@@ -152,7 +156,8 @@ class MultiStartSolver:
         *,
         size: int,
         rtol: float = 1e-7,
-        sequential: bool = False,
+        lazy_jacobian: bool = False,
+        workers: int | None = None,
         primal_fn: Callable[[jax.Array, Any], Any] | None = None,
         secant_updates: bool = False,
     ):
@@ -166,25 +171,31 @@ class MultiStartSolver:
             upper: Upper bounds of the same shape.
             size: Length of the residual.
             rtol: Relative tolerance of ``BoundedLevenbergMarquardt``.
-            sequential: Step the starts one after another instead of as one batch. This is as fast where ``fn`` is a
-                batch itself, and searches that have ended cost nothing.
+            lazy_jacobian: Compute derivatives for accepted steps only, after a simulation without them. This is faster
+                where derivatives cost many simulations; an accelerator computes them in any case.
+            workers: Number of starts that are evaluated at a time; by default one per core.
             primal_fn: Function without derivatives, for a single start, called with the trial point and ``args``
                 before each step. ``fn`` is then called with ``(args, result)``, and derivatives are computed only for
                 accepted steps.
-            secant_updates: Update the Jacobian from residuals where that is enough; needs ``sequential`` or
+            secant_updates: Update the Jacobian from residuals where that is enough; needs ``lazy_jacobian`` or
                 ``primal_fn``.
         """
-        self._fn, self._args, self._primal_fn = fn, args, primal_fn
+        self._fn, self._args, self._primal_fn, self._workers = fn, args, primal_fn, workers
         self._solver = BoundedLevenbergMarquardt(
-            jnp.asarray(rtol), lazy_jacobian=sequential or primal_fn is not None, secant_updates=secant_updates
+            jax.device_put(np.float64(rtol)),
+            lazy_jacobian=lazy_jacobian or primal_fn is not None,
+            secant_updates=secant_updates,
         )
         low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
-        self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
-        self._states = _initial_states(self._solver, self._points, size)
+        points, count = np.clip(starts, low, high), len(starts)
+        together = 1 if jax.default_backend() == "cpu" else count
+        parts = [slice(k, k + together) for k in range(0, count, together)]
+        ends = [jax.device_put((points[part], (low[part], high[part]))) for part in parts]
+        self._groups = [_Group(at, bounds, _initial_states(self._solver, at, size)) for at, bounds in ends]
         self._wall_time, self._history = 0.0, []
         self.steps: int = 0
         self.simulations: int = 0
-        self._interrupted, self._sequential = False, sequential
+        self._interrupted = False
 
     def advance(self, steps: int = 100, progress: Callable[[int, float], object] | None = None) -> "MultiStartSolver":
         """Take at most ``steps`` more steps.
@@ -203,10 +214,13 @@ class MultiStartSolver:
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
         report = stoppable(progress or (lambda step, cost: None))
         try:
-            while self.steps < last and (running := self._count_running()):
-                self._points, self._states = jax.block_until_ready(self._program(*self._arguments()))
-                updated = int(np.sum(np.asarray(self._states.updates) > 0))
-                self.simulations += running + (running - updated) * self._points.shape[1]
+            while self.steps < last and (running := [k for k, group in enumerate(self._groups) if group.running]):
+                count = sum(self._groups[k].running for k in running)
+                ends = share_among_cores(self._step, running, workers=self._workers, new_program=self.steps == 0)
+                for k, end in zip(running, ends, strict=True):
+                    self._groups[k] = end
+                updated = sum(int(np.sum(np.asarray(end.states.updates) > 0)) for end in ends)
+                self.simulations += count + (count - updated) * self._groups[0].points.shape[1]
                 self.steps += 1
                 self._wall_time = time.perf_counter() - began
                 best = self.cost
@@ -220,25 +234,30 @@ class MultiStartSolver:
 
     def trace_program(self) -> None:
         """Trace and lower the program of a step, so that it can be compiled in another thread."""
-        self._program.lower(*self._arguments())
+        self._program.lower(*self._arguments(self._groups[0]))
 
     @property
     def cost(self) -> float:
         """The best cost so far."""
-        return float(np.min(self._states.cost))
+        return min(float(np.min(np.asarray(group.states.cost))) for group in self._groups)
 
     def result(self) -> MultiStartResult:
         """Return the state of all searches, with the exact Jacobians unless there is a ``primal_fn``."""
-        jacobians, updates = np.array(self._states.jacobian), np.array(self._states.updates)
+
+        def joined(leaf: Callable[[_Group], jax.Array]) -> np.ndarray:
+            return np.concatenate([np.asarray(leaf(group)) for group in self._groups])
+
+        points = joined(lambda group: group.points)
+        jacobians, updates = joined(lambda group: group.states.jacobian), joined(lambda group: group.states.updates)
         for k in np.flatnonzero(updates) if self._primal_fn is None else ():
-            jacobians[k], updates[k] = linearise(self._fn, self._points[k], self._args)[0], 0
+            jacobians[k], updates[k] = linearise(self._fn, jnp.asarray(points[k]), self._args)[0], 0
         unfinished = SolverStatus.interrupted if self._interrupted else SolverStatus.steps
-        statuses = [SolverStatus(int(s)) for s in np.asarray(self._states.status)]
+        statuses = [SolverStatus(int(s)) for s in joined(lambda group: group.states.status)]
         return MultiStartResult(
-            points=np.asarray(self._points),
-            residuals=np.asarray(self._states.residual),
+            points=points,
+            residuals=joined(lambda group: group.states.residual),
             jacobians=jacobians,
-            costs=np.asarray(self._states.cost),
+            costs=joined(lambda group: group.states.cost),
             statuses=[unfinished if s is SolverStatus.running else s for s in statuses],
             updates=updates,
             steps=self.steps,
@@ -247,18 +266,40 @@ class MultiStartSolver:
             history=self._history,
         )
 
-    def _count_running(self) -> int:
-        return int(np.sum(np.asarray(self._states.status) == SolverStatus.running))
+    def _step(self, k: int) -> "_Group":
+        """The starts of a group after a step."""
+        group = self._groups[k]
+        points, states = jax.block_until_ready(self._program(*self._arguments(group)))
+        return group._replace(points=points, states=states)
 
     @property
     def _program(self) -> Any:
         return _step_starts if self._primal_fn is None else _step_starts_large
 
-    def _arguments(self) -> tuple[Any, ...]:
+    def _arguments(self, group: "_Group") -> tuple[Any, ...]:
         args = self._args
         if self._primal_fn is not None:
-            args = (args, self._primal_fn(self._states.trial[0], args))
-        return self._solver, self._fn, self._points, self._states, self._bounds, args, self._sequential
+            args = (args, self._primal_fn(group.states.trial[0], args))
+        return self._solver, self._fn, group.points, group.states, group.bounds, args
+
+
+class _Group(NamedTuple):
+    """Starts that are evaluated together: one on a processor, all on an accelerator.
+
+    Attributes:
+        points: Best points (g, p).
+        bounds: Lower and upper bounds (g, p).
+        states: States of the searches.
+    """
+
+    points: jax.Array
+    bounds: tuple[jax.Array, jax.Array]
+    states: LMState
+
+    @property
+    def running(self) -> int:
+        """Number of searches that have not ended."""
+        return int(np.sum(np.asarray(self.states.status) == SolverStatus.running))
 
 
 @functools.partial(stored, compiler_options=SEARCH_OPTIONS)
@@ -274,7 +315,6 @@ def _step_all(
     states: LMState,
     bounds: tuple[Any, ...],
     args: Any,
-    sequential: bool,
 ) -> tuple[Any, ...]:
     """One step of every search that has not ended: the points and states after it."""
 
@@ -286,12 +326,6 @@ def _step_all(
         running = state.status == SolverStatus.running
         return jax.tree.map(lambda a, b: jnp.where(running, a, b), step(y, state, bounds), (y, state))
 
-    def conditional(search: tuple[Any, ...]) -> tuple[Any, ...]:
-        running = search[1].status == SolverStatus.running
-        return jax.lax.cond(running, step, lambda y, state, bounds: (y, state), *search)
-
-    if sequential and points.shape[0] > 1:
-        return jax.lax.map(conditional, (points, states, bounds))
     return vmap_unless_single(batched, points.shape[0], points, states, bounds)
 
 

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy.special
 
 from smajax.fitting.autoregression import autoregressive_spectrum, fit_autoregression
 from smajax.fitting.noise import second_difference_noise
@@ -152,9 +151,11 @@ def _without_slopes(values: np.ndarray, parts: list[tuple[int, int]], noise: flo
 
     The shortest parts are left out until that holds: a ramp breaks into shorter parts than the plateaus next to it.
     """
+    from scipy.special import chdtri  # slow to import
+
     slopes = {part: _slope(values[slice(*part)], noise) for part in parts}
     kept = sorted((part for part in parts if abs(slopes[part]) < _MAX_SLOPE), key=lambda part: part[0] - part[1])
-    while kept and sum(slopes[part] ** 2 for part in kept) > scipy.special.chdtri(len(kept), _SLOPE_PROBABILITY):
+    while kept and sum(slopes[part] ** 2 for part in kept) > chdtri(len(kept), _SLOPE_PROBABILITY):
         kept.pop()
     return sorted(kept)
 

@@ -292,7 +292,7 @@ def build_problem(
     return Problem(
         plant=plant,
         data=_fit_data(inputs, recordings, tuple(settings.observe), noise),
-        scales=jnp.asarray([u.scale for u in unknowns]),
+        scales=jax.device_put(np.array([u.scale for u in unknowns])),
         unknowns=tuple(unknowns),
         channels=tuple(settings.observe),
         shared=shared,

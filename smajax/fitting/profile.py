@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any, cast
 
 import numpy as np
-import scipy.special
 
 from smajax.errors import Cancelled, InputError, suggestion
 from smajax.fitting.abstract_problem import residual
@@ -17,7 +17,7 @@ from smajax.fitting.result import FitResult
 from smajax.fitting.unknowns import Settings
 
 # 95 % quantile of the chi-squared distribution with one degree of freedom, 3.84.
-CHI2_95 = float(2.0 * scipy.special.gammaincinv(0.5, 0.95))
+CHI2_95 = NormalDist().inv_cdf(0.975) ** 2
 # Ends of a search at which the cost is that of a minimum.
 _ENDED = (SolverStatus.converged, SolverStatus.stalled)
 # Values over the bounds of a parameter that is not determined; the factor by which the distance to an excluded value is

@@ -12,7 +12,7 @@ from smajax.errors import NumericsError
 from smajax.fitting.abstract_problem import residual
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
 from smajax.fitting.multi_start import (
-    SEQUENTIAL_FROM,
+    LAZY_FROM,
     MultiStartResult,
     MultiStartSolver,
     screen_displaced_starts,
@@ -92,17 +92,26 @@ def search_from_starts(
     arguments = (residual, problem, starts, *problem.bounds)
     solver = BoundedLevenbergMarquardt() if solver is None else solver
     if isinstance(solver, BoundedLevenbergMarquardt):
-        sequential = recordings >= SEQUENTIAL_FROM or parts[0] or problem.has_structure
-        searches = MultiStartSolver(
-            *arguments,
-            size=problem.size,
-            rtol=float(solver.rtol),
-            sequential=sequential,
-            secant_updates=problem.has_structure,
-        )
+        options = search_options(problem, recordings)
+        workers = 1 if parts[0] else None
+        searches = MultiStartSolver(*arguments, **options, rtol=float(solver.rtol), workers=workers)
     else:
         searches = OptimistixSearch(solver, *arguments, size=problem.size)
     return Searches(starts, searches.advance(max_steps, progress).result(), screening_simulations, screening_time)
+
+
+def search_options(problem: Problem, recordings: int) -> dict[str, Any]:
+    """Return the options of ``MultiStartSolver`` on which the compiled program of a search depends.
+
+    Args:
+        problem: The problem.
+        recordings: Number of recordings.
+    """
+    return {
+        "size": problem.size,
+        "lazy_jacobian": recordings >= LAZY_FROM or problem.has_structure,
+        "secant_updates": problem.has_structure,
+    }
 
 
 def check_starts(search: Searches, problem: Problem, plant: Plant) -> None:

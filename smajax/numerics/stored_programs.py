@@ -17,7 +17,7 @@ import json
 import os
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,43 +60,48 @@ class StoredFunction:
         self._plain = jit_with_kernels(function, **options)
         self._inner = jit_with_kernels(function)  # JAX takes compiler options of the outermost program only
         self._programs: dict[Any, _Program | None] = {}
+        self._called: set[Any] = set()
+        self._first_calls: dict[Any, threading.RLock] = {}
         self._lock = threading.RLock()
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Call the function."""
-        program, arrays = self._program_of((args, kwargs))
-        return self._plain(*args, **kwargs) if program is None else program(arrays)
+        """Call the function; while a thread compiles a program, others that need it wait for it."""
+        signature, arrays = _signature((args, kwargs))
+        with self._first_call(signature):
+            program = self._program_of(signature, (args, kwargs))
+            return self._plain(*args, **kwargs) if program is None else program(arrays)
 
     def lower(self, *args: Any, **kwargs: Any) -> None:
         """Trace and lower the program for some arguments, so that it can be compiled in another thread."""
-        program, arrays = self._program_of((args, kwargs))
+        signature, arrays = _signature((args, kwargs))
+        program = self._program_of(signature, (args, kwargs))
         if program is None:
             self._plain.lower(*args, **kwargs)
         else:
             program.lower(arrays)
 
-    def _program_of(self, arguments: Any) -> tuple["_Program | None", list[Any]]:
-        """The stored program for some arguments, ``None`` if there is none, and the arrays among the arguments."""
-        settings = jax.config.values
-        folder = _folder(settings)
-        if folder is None:
-            return None, []
-        leaves, structure = jax.tree.flatten(arguments)
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return None, []
-        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        shapes = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
-        signature = (structure, shapes, tuple(settings.values()))
-        try:
-            return self._programs[signature], arrays
-        except KeyError:
-            pass
-        except TypeError:  # an argument has no hash
-            return None, []
+    @contextlib.contextmanager
+    def _first_call(self, signature: Any) -> Iterator[None]:
+        """Hold the lock of a program until it has been called once."""
+        if signature is None or signature in self._called:
+            yield
+            return
+        with self._lock:
+            lock = self._first_calls.setdefault(signature, threading.RLock())
+        with lock:
+            yield
+            self._called.add(signature)
+            self._first_calls.pop(signature, None)
+
+    def _program_of(self, signature: Any, arguments: Any) -> "_Program | None":
+        """The stored program for arguments with a signature; ``None`` if there is none."""
+        folder = _folder(jax.config.values)
+        if folder is None or signature is None:
+            return None
         with self._lock:
             if signature not in self._programs:
                 self._programs[signature] = self._load_or_trace(folder, arguments)
-        return self._programs[signature], arrays
+            return self._programs[signature]
 
     def _load_or_trace(self, folder: Path, arguments: Any) -> "_Program | None":
         try:
@@ -159,17 +164,41 @@ class _Program:
         self._structure = json.loads(body[_LENGTH_BYTES:begin])
         decode(self._structure, itertools.repeat(None))
         exported = jax.export.deserialize(bytearray(body[begin:]))
-        # Results of an exported program belong to its device. Where arguments do so at times, as those that are results
-        # of a call before, JAX would compile another program.
+        # Results of an exported program belong to its device, so that arguments do so at times, for which JAX would
+        # compile another program. It is compiled here, once.
         device = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
         self._call = jax.jit(exported.call, in_shardings=device, out_shardings=device, **options)
+        self._lowered: Any = None
+        self._compiled: Any = None
 
     def __call__(self, arrays: Sequence[Any]) -> Any:
-        return decode(self._structure, iter(self._call(*arrays)))
+        if self._compiled is None:
+            self.lower(arrays)
+            self._compiled = self._lowered.compile()
+        return decode(self._structure, iter(self._compiled(*arrays)))
 
     def lower(self, arrays: Sequence[Any]) -> None:
-        """Lower the program, which JAX remembers."""
-        self._call.lower(*arrays)
+        """Lower the program, so that only its compilation remains."""
+        if self._lowered is None:
+            self._lowered = self._call.lower(*arrays)
+
+
+def _signature(arguments: Any) -> tuple[Any, list[Any]]:
+    """What the program of some arguments depends on, and the arrays among them.
+
+    ``None`` where the arguments are traced, so that they are part of another program, or have no hash.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        return None, []
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+    shapes = tuple((leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf for leaf in leaves)
+    signature = structure, shapes, tuple(jax.config.values.values())
+    try:
+        hash(signature)
+    except TypeError:
+        return None, []
+    return signature, arrays
 
 
 def _folder(settings: Mapping[str, Any]) -> Path | None:

@@ -168,7 +168,9 @@ def as_float(value: Any) -> Any:
         raise InputError(
             f"a parameter is an array of {kind} and smajax needs double precision: make it with dtype=jnp.float64"
         )
-    return value if kind == np.float64 and isinstance(value, jax.Array) else jnp.asarray(value, dtype=jnp.float64)
+    if isinstance(value, jax.Array):
+        return value if kind == np.float64 else value.astype(jnp.float64)
+    return jax.device_put(np.asarray(value, np.float64))  # nothing is compiled
 
 
 def parameter(

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.numerics.stored_programs import stored
 from smajax.plant.effects.base import ThermalNode
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
@@ -69,4 +70,13 @@ def resolving_step(plant: Plant) -> Float[Array, ""]:
 
 def default_step(plant: Plant) -> float:
     """Return ``resolving_step`` as a Python float, in s; infinite where each row is one step."""
-    return float(resolving_step(plant))
+    return float(_resolving_step(plant))
+
+
+def wire_time_constant(plant: Plant) -> float:
+    """Return ``time_constant`` as a Python float, in s."""
+    return float(_time_constant(plant))
+
+
+# One program each instead of one for each operation.
+_resolving_step, _time_constant = stored(resolving_step), stored(time_constant)

@@ -28,7 +28,7 @@ from smajax.fitting.io_models.specs import prandtl_ishlinskii_spec
 from smajax.laws.prandtl_ishlinskii import PrandtlIshlinskii
 from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii, inverse_operator
 from smajax.numerics.loop_kernels import jit_with_kernels
-from smajax.simulation.step_size import time_constant
+from smajax.simulation.step_size import wire_time_constant
 
 # Number of samples of a cycle, one per time constant of the wire: 200 time constants for each branch. Chosen by
 # experiments/control/feedforward.py.
@@ -133,7 +133,7 @@ def _simulated_cycle(
     system: SampledPlant, loop: ClosedLoop, command_range: tuple[float, float] | None, max_temperature: float
 ) -> Series:
     """The second of two slow cycles of the command, simulated."""
-    slow = SampledPlant.of(system.plant, float(time_constant(system.plant)))
+    slow = SampledPlant.of(system.plant, wire_time_constant(system.plant))
     limits = loop.controller.limits
     if command_range is None:
         command, value, temperature = _second_cycle(slow, loop, (float(limits[0]), float(limits[1])))

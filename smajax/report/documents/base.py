@@ -23,7 +23,12 @@ class Part(BaseModel):
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="allow", strict=True, allow_inf_nan=False, frozen=True, serialize_by_alias=True
+        extra="allow",
+        strict=True,
+        allow_inf_nan=False,
+        frozen=True,
+        serialize_by_alias=True,
+        defer_build=True,  # a command uses one of the documents
     )
 
     @classmethod

@@ -14,7 +14,7 @@ import pytest
 from smajax import parameters
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting import fit as fit_module
-from smajax.fitting import intervals
+from smajax.fitting import intervals, multi_start
 from smajax.fitting.autoregression import fit_autoregression
 from smajax.fitting.estimates import estimates_with_intervals
 from smajax.fitting.fit import fit
@@ -22,6 +22,7 @@ from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
+from smajax.fitting.preparation import _take_a_step
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.profile import crossing, profile_labels, profile_likelihood
 from smajax.fitting.responses import simulate_responses, start_responses
@@ -223,7 +224,7 @@ def test_a_profile_that_a_bound_cuts_off_has_no_end_there():
 
 
 def test_a_fit_that_is_interrupted_in_its_first_step_has_no_result(monkeypatch):
-    def interrupt(self):
+    def interrupt(self, group):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
@@ -536,6 +537,27 @@ def test_levenberg_marquardt_on_known_problems():
     few = solve([[-1.2, 1.0]], [-10.0, -10.0], [10.0, 10.0], steps=3)
     assert few.statuses == [SolverStatus.steps]
     assert few.simulations == 9
+
+
+def test_starts_end_alike_with_any_number_of_cores():
+    def rosenbrock(v, rest):
+        return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
+
+    starts, box = np.array([[-1.2, 1.0], [3.0, -2.0], [0.1, 0.2]]), (np.full(2, -10.0), np.full(2, 10.0))
+    ends = [
+        MultiStartSolver(rosenbrock, None, starts, *box, size=2, workers=workers).advance(60).result()
+        for workers in (1, 2, 3)
+    ]
+    assert all(np.array_equal(end.points, ends[0].points) and end.steps == ends[0].steps for end in ends)
+    assert ends[0].simulations == ends[2].simulations and ends[0].statuses == [SolverStatus.converged] * 3
+
+
+def test_a_fit_uses_the_program_that_was_compiled_in_the_background():
+    plant, recordings = plants.dead_weight(), [recorded(TRUTH)]
+    _take_a_step(plant, recordings, Settings(), "hold")
+    compiled = set(multi_start._step_starts._called)
+    fit(plant, recordings, Settings(starts=2), interpolation="hold", max_steps=2)
+    assert compiled and multi_start._step_starts._called == compiled
 
 
 def test_a_search_that_is_resumed_ends_where_one_run_does():

@@ -65,7 +65,7 @@ def test_updates_of_the_jacobian_replace_most_of_its_evaluations():
 
     def search(secant_updates, steps=400):
         start, ends = np.linspace(-1.5, 1.5, 20)[None], (np.full(20, -5.0), np.full(20, 5.0))
-        options = {"size": 59, "rtol": 1e-12, "sequential": True, "secant_updates": secant_updates}
+        options = {"size": 59, "rtol": 1e-12, "lazy_jacobian": True, "secant_updates": secant_updates}
         return MultiStartSolver(residual, None, start, *ends, **options).advance(steps).result()
 
     computed, updated = search(False), search(True)
@@ -194,9 +194,7 @@ def test_what_a_callback_returns_does_not_stop_a_search(search):
     assert result.steps == 3 and result.statuses == [SolverStatus.steps]
 
 
-@pytest.mark.parametrize(
-    ("search", "method"), [(MultiStartSolver, "_count_running"), (OptimistixSearch, "_advance_one")]
-)
+@pytest.mark.parametrize(("search", "method"), [(MultiStartSolver, "_step"), (OptimistixSearch, "_advance_one")])
 def test_ctrl_c_is_raised_where_nobody_asks_for_the_status(search, method, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt

@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 import types
 from collections import OrderedDict
 
@@ -51,6 +53,37 @@ ARGUMENTS = ({"a": jnp.arange(4.0)}, jnp.asarray(2.0))
 
 def check_scaled(result: tuple[jax.Array, dict[str, jax.Array]]) -> None:
     assert float(result[0]) == 12.0 and float(result[1]["last"]) == 6.0
+
+
+def test_a_program_that_a_thread_compiles_is_waited_for():
+    traced = []
+
+    def slow(value):
+        traced.append(threading.current_thread())
+        time.sleep(0.2)  # longer than the other thread needs to get here
+        return 2.0 * value
+
+    doubled, barrier, results = stored(slow), threading.Barrier(2), []
+
+    def call():
+        barrier.wait()
+        results.append(float(doubled(jnp.asarray(3.0))))
+
+    threads = [threading.Thread(target=call) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == [6.0, 6.0] and len(traced) == 1
+
+
+def test_an_argument_that_belongs_to_the_device_needs_no_program_of_its_own(folder):
+    program = stored(scale)
+    check_scaled(program(*ARGUMENTS))
+    (compiled,) = program._programs.values()
+    first = compiled._compiled
+    check_scaled(program(*jax.device_put(ARGUMENTS, jax.devices()[0])))
+    assert compiled._compiled is first and first is not None
 
 
 def test_a_program_is_read_again_instead_of_traced(folder, monkeypatch):
