@@ -31,11 +31,22 @@ def figure_of(result: str, text: str, page: str) -> str:
         CommandError: If there is no such result.
     """
     study = result if "(" in result else f"sma.load({result!r})"
-    figure = json.loads(run_python(_PLOT.format(study=study), page))
-    figure["layout"]["dragmode"] = False  # a finger on the figure scrolls the page
-    height = figure["layout"].get("height", 450)
-    place = f"figure-{len(_drawn) + 1}"
-    _drawn[place] = json.dumps(figure).replace("</", "<\\/")
+    return place_figure(run_python(_PLOT.format(study=study), page), text, page)
+
+
+def place_figure(figure: str, text: str, page: str) -> str:
+    """Return the place of a figure on a page.
+
+    Args:
+        figure: The figure of plotly as JSON.
+        text: What it shows, for those who do not see it.
+        page: The page.
+    """
+    content = json.loads(figure)
+    content["layout"]["dragmode"] = False  # a finger on the figure scrolls the page
+    height = content["layout"].get("height", 450)
+    place = "figure-" + re.sub(r"\W+", "-", f"{page} {text}").strip("-")
+    _drawn[place] = json.dumps(content).replace("</", "<\\/")
     label = html.escape(text, quote=True)
     return f'<div class="figure" id="{place}" role="img" aria-label="{label}" style="height: {height}px"></div>'
 

@@ -14,10 +14,10 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from docs.generate import pages  # noqa: E402
-from docs.generate.blocks import FILE, OUTPUT, REASON, blocks  # noqa: E402
-from docs.generate.figures import FIGURE, SCRIPT, figure_of, plotly_script, with_figures  # noqa: E402
-from docs.generate.outputs import clean_up, output_of, run_python, write_file  # noqa: E402
+from docs.generate import execution, pages  # noqa: E402
+from docs.generate.blocks import FILE, REASON  # noqa: E402
+from docs.generate.figures import SCRIPT, plotly_script, with_figures  # noqa: E402
+from docs.generate.outputs import clean_up  # noqa: E402
 from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
@@ -44,6 +44,11 @@ LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:s
 LITERAL = re.compile(r"::(?=</p>)")
 
 
+def on_build_error(error: Exception) -> None:
+    """Execute no further page."""
+    execution.stop()
+
+
 def on_shutdown() -> None:
     """Remove what the commands of the pages have written."""
     clean_up()
@@ -57,12 +62,13 @@ def on_post_build(config: Any) -> None:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the pages that are generated as a whole, and copies of files that pages link to."""
+    """Add generated pages and copies of files that pages link to, and begin to execute what pages show."""
     for name, text in pages.whole_pages().items():
         files.append(File.generated(config, name, content=text))
     for path in pages.LINKED_FILES:
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
     files.append(File.generated(config, SCRIPT, content=plotly_script()))
+    execution.begin({file.src_uri: file.content_string for file in files.documentation_pages()})
     return files
 
 
@@ -76,15 +82,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     source = page.file.src_uri
     markdown = insert_results(PART.sub(lambda match: pages.PARTS[match[1]](), markdown))
     markdown = LINK.sub(lambda match: f"]({_target(match[1], source)}{match[2] or ''})", markdown)
-    for block in blocks(markdown):
-        if block.is_first:
-            run_python(block.text, source)
-        elif block.file:
-            write_file(block.file, block.text, source)
     markdown = FILE.sub(lambda match: f"`{match[1]}`:\n", markdown)
     markdown = REASON.sub(lambda match: f"*Not executed by the tests of this site: {match[1]}.*\n", markdown)
-    markdown = OUTPUT.sub(lambda match: output_of(match[1], source), markdown)
-    return FIGURE.sub(lambda match: figure_of(match[1], match[2], source), markdown)
+    return execution.with_outputs(markdown, source)
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:

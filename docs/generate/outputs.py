@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,11 +40,19 @@ def output_of(command: str, page: str) -> str:
     program, *words = shlex.split(command)
     if program != "smajax":
         raise CommandError(f"'{command}' does not begin with smajax")
-    arguments = [sys.executable, "-m", "smajax", *words]
-    result = _run(arguments, page)
+    result = result_of(["-m", "smajax", *words], page)
     if result.returncode:
         raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
-    lines = [part for line in result.stdout.strip("\n").rstrip().splitlines() for part in _wrapped(line)]
+    return text_block(result.stdout)
+
+
+def text_block(text: str) -> str:
+    """Return what a command prints as a block of a page.
+
+    Args:
+        text: What it prints.
+    """
+    lines = [part for line in text.strip("\n").rstrip().splitlines() for part in _wrapped(line)]
     return "\n".join(["```text", *lines, "```"])
 
 
@@ -60,7 +69,7 @@ def run_python(code: str, page: str) -> str:
     Raises:
         CommandError: If it fails.
     """
-    result = _run([sys.executable, "-c", code], page)
+    result = result_of(["-c", code], page)
     if result.returncode:
         raise CommandError(f"the code of {page} failed: {result.stderr.strip()}")
     return result.stdout
@@ -77,10 +86,29 @@ def write_file(name: str, text: str, page: str) -> None:
     (_folder(page) / name).write_text(text, "utf-8")
 
 
-def _run(words: list[str], page: str) -> subprocess.CompletedProcess[str]:
-    """Run a command in the folder of a page, without a display, and in a terminal of a known width."""
+def read_file(name: str, page: str) -> str:
+    """Return the content of a file that a command of a page has written.
+
+    Args:
+        name: Path of the file, relative to the folder of the page's commands.
+        page: The page, which determines the folder.
+    """
+    return (_folder(page) / name).read_text("utf-8")
+
+
+def result_of(
+    arguments: list[str], page: str, variables: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run Python in the folder of a page, without a display, and in a terminal of a known width.
+
+    Args:
+        arguments: Arguments of the interpreter.
+        page: The page, which determines the folder.
+        variables: Environment variables in addition to those of this process.
+    """
     environment = {name: value for name, value in os.environ.items() if name not in NOT_PASSED}
-    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": str(WIDTH)}
+    environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": str(WIDTH), **(variables or {})}
+    words = [sys.executable, *arguments]
     return subprocess.run(words, cwd=_folder(page), env=environment, capture_output=True, text=True, check=False)
 
 
@@ -101,6 +129,11 @@ def _folder(page: str) -> Path:
     folder = _root() / page.replace("/", "-")
     shutil.copytree(ROOT / "data", folder / "data")
     return folder
+
+
+def prepare_folders() -> None:
+    """Make the folder in which each page gets its own, before threads ask for one."""
+    _root()
 
 
 def clean_up() -> None:

@@ -139,7 +139,7 @@ print(result)
 # residual into account, but no interval contains an error of the equations. (The noise floor in that table is the
 # scatter from row to row, which is small because the curves are filtered.)
 
-# %%
+# %% figure="Strain over temperature of the cycles of the fit, measured and modelled, and their difference"
 result.plot()
 
 # %%
@@ -163,7 +163,7 @@ print(found)
 #
 # What counts is the recording at 150 MPa, to which nothing was fitted.
 
-# %%
+# %% figure="Strain of the cycle at 150 MPa over temperature, measured and modelled before and after the diagnosis, and both differences"
 found.plot()
 
 # %%
@@ -274,7 +274,7 @@ noise = "5 um"
 tuned = sma.tune(lift, "controller.toml")
 print(tuned)
 
-# %%
+# %% figure="Displacement of the closed loop over time with start and tuned gains, its reference, and temperature, stress and current"
 tuned.plot()
 
 # %%
@@ -289,6 +289,6 @@ print("margins:", tuned.margins)
 
 # %%
 found.save("diagnosis")
-exported = tuned.save("controller")
-for path in sorted(exported.iterdir()):
-    print(f"{path.name}: {path.stat().st_size} bytes")
+tuned.save("controller")
+for folder in ("diagnosis", "controller"):
+    print(f"{folder}:", *sorted(path.name for path in Path(folder).iterdir()), sep="\n  ")
