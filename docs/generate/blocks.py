@@ -15,6 +15,7 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 OUTPUT = re.compile(r"^<!-- output of: (smajax .+) -->$", re.MULTILINE)
+REFUSAL = re.compile(r"^<!-- refusal of: (smajax .+) -->$", re.MULTILINE)
 FILE = re.compile(r"^<!-- file: ([\w./-]+) -->$", re.MULTILINE)
 REASON = re.compile(r"^<!-- not executed: ([^>]+?) -->$", re.MULTILINE)
 EXECUTED = ("sh", "python")

@@ -1,20 +1,21 @@
 """Execution of what pages show: the steps of a page in their order, several pages at a time.
 
-A page shows outputs of commands (``<!-- output of: ... -->``), figures (``<!-- figure of: ... -->``) and, if it is a
-notebook, outputs of cells (``<!-- cell N of: ... -->``).
+A page shows outputs of commands (``<!-- output of: ... -->``), commands that refuse their input with the sentence that
+they print (``<!-- refusal of: ... -->``), figures (``<!-- figure of: ... -->``) and, if it is a notebook, outputs of
+cells (``<!-- cell N of: ... -->``).
 """
 
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from docs.generate.blocks import OUTPUT, blocks
+from docs.generate.blocks import OUTPUT, REFUSAL, blocks
 from docs.generate.figures import FIGURE, figure_of
-from docs.generate.outputs import output_of, prepare_folders, run_python, write_file
+from docs.generate.outputs import output_of, prepare_folders, refusal_of, run_python, write_file
 from docs.generate.tutorial import CELL, TUTORIALS, cell_output
 
 # Most commands use one core and a half; two at a time keep the two cores of a small machine busy.
 PAGES_AT_A_TIME = 2
-_SHOWN = (OUTPUT, FIGURE, CELL)
+_SHOWN = (OUTPUT, REFUSAL, FIGURE, CELL)
 _pages: dict[str, Future[dict[str, str]]] = {}
 
 
@@ -74,5 +75,6 @@ def outputs(markdown: str, page: str) -> dict[str, str]:
         elif block.file:
             write_file(block.file, block.text, page)
     shown = {match[0]: output_of(match[1], page) for match in OUTPUT.finditer(markdown)}
+    shown |= {match[0]: refusal_of(match[1], page) for match in REFUSAL.finditer(markdown)}
     shown |= {match[0]: figure_of(match[1], match[2], page) for match in FIGURE.finditer(markdown)}
     return shown | {match[0]: cell_output(int(match[1]), TUTORIALS / match[2]) for match in CELL.finditer(markdown)}

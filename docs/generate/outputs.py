@@ -18,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Width of a terminal in columns.
 WIDTH = 110
+# Exit code of a command that refuses its input.
+REFUSED = 2
 # Variables with which a command would open a browser, or find other data than those that ship.
 NOT_PASSED = ("DISPLAY", "WAYLAND_DISPLAY", "SMAJAX_DATA")
 
@@ -37,13 +39,33 @@ def output_of(command: str, page: str) -> str:
     Raises:
         CommandError: If it fails.
     """
-    program, *words = shlex.split(command)
-    if program != "smajax":
-        raise CommandError(f"'{command}' does not begin with smajax")
-    result = result_of(["-m", "smajax", *words], page)
+    result = _result(command, page)
     if result.returncode:
         raise CommandError(f"'{command}' ended with {result.returncode}: {result.stderr.strip()}")
     return text_block(result.stdout)
+
+
+def refusal_of(command: str, page: str) -> str:
+    """Return the command and the sentence with which it refuses its input, as a block of text.
+
+    Args:
+        command: The command line, which begins with smajax.
+        page: The page, which determines the folder.
+
+    Raises:
+        CommandError: If it succeeds, or fails for another reason.
+    """
+    result = _result(command, page)
+    if result.returncode != REFUSED:
+        raise CommandError(f"'{command}' ended with {result.returncode}, not {REFUSED}: {result.stderr.strip()}")
+    return text_block(f"$ {command}\n{result.stderr}")
+
+
+def _result(command: str, page: str) -> subprocess.CompletedProcess[str]:
+    program, *words = shlex.split(command)
+    if program != "smajax":
+        raise CommandError(f"'{command}' does not begin with smajax")
+    return result_of(["-m", "smajax", *words], page)
 
 
 def text_block(text: str) -> str:

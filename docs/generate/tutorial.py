@@ -31,7 +31,8 @@ def tutorial_pages() -> dict[str, str]:
 
 
 def _page(path: Path) -> str:
-    note = f"This page is the notebook [{path.name}](../files/docs/tutorials/{path.name}), executed with the site."
+    link = f"[{path.name}](../files/docs/tutorials/{path.name})"
+    note = f"This page is the notebook {link}, which is executed when the site is built; outputs stand below the cells."
     parts, number = [], 0
     for cell in jupytext.read(path).cells:
         if cell.cell_type == "markdown":
@@ -59,6 +60,11 @@ def cell_output(number: int, path: Path) -> str:
     """
     reason, outputs = _executed(path)
     return reason if not number else outputs[number - 1] if outputs else ""
+
+
+def forget() -> None:
+    """Drop the outputs of all notebooks."""
+    _executed.cache_clear()
 
 
 @functools.cache

@@ -139,7 +139,7 @@ print(result)
 # residual into account, but no interval contains an error of the equations. (The noise floor in that table is the
 # scatter from row to row, which is small because the curves are filtered.)
 
-# %% figure="Strain over temperature of the cycles of the fit, measured and modelled, and their difference"
+# %% figure="Strain over temperature of the fitted cycles, measured and modelled, and their difference"
 result.plot()
 
 # %%
@@ -163,7 +163,7 @@ print(found)
 #
 # What counts is the recording at 150 MPa, to which nothing was fitted.
 
-# %% figure="Strain of the cycle at 150 MPa over temperature, measured and modelled before and after the diagnosis, and both differences"
+# %% figure="Strain over temperature at 150 MPa, measured and modelled before and after the diagnosis"
 found.plot()
 
 # %%
@@ -274,7 +274,7 @@ noise = "5 um"
 tuned = sma.tune(lift, "controller.toml")
 print(tuned)
 
-# %% figure="Displacement of the closed loop over time with start and tuned gains, its reference, and temperature, stress and current"
+# %% figure="Displacement of the closed loop over time with start and tuned gains, and its reference"
 tuned.plot()
 
 # %%

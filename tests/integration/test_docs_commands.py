@@ -13,7 +13,7 @@ import tomllib
 import pytest
 import tomlkit
 
-from docs.generate.blocks import EXECUTED, OUTPUT, Block, blocks, commands
+from docs.generate.blocks import EXECUTED, OUTPUT, REFUSAL, Block, blocks, commands
 from smajax.files.material_limits import read_catalogue, read_limits
 from smajax.files.parameter_sets import read_parameters
 from smajax.files.rig_file import read_rig
@@ -50,7 +50,7 @@ for language, text, place in json.loads(sys.argv[1]):
 
 def shown_commands(page: str) -> set[str]:
     """Return the commands whose outputs a page shows, which the build executes."""
-    return {" ".join(command.split()) for command in OUTPUT.findall(TEXTS[page])}
+    return {" ".join(command.split()) for command in (OUTPUT.findall(TEXTS[page]) + REFUSAL.findall(TEXTS[page]))}
 
 
 # Commands with shipped data only, which some page shows: their folders are not needed elsewhere.
