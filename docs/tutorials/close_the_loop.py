@@ -278,8 +278,8 @@ print(tuned)
 tuned.plot()
 
 # %%
-print("gains:", tuned.gains)
-print("margins:", tuned.margins)
+print("gains, in SI units:", {name: round(value, 3) for name, value in tuned.gains.items()})
+print("margins, as medians:", {name: round(value, 2) for name, value in tuned.margins.items()})
 
 # %% [markdown]
 # ## Export

@@ -176,6 +176,27 @@ def test_a_figure_is_drawn_from_the_files_of_the_site(monkeypatch):
     assert "Plotly.newPlot(" in page and figures.with_figures("<body></body>", "a.html") == "<body></body>"
 
 
+def test_steps_of_a_page_stand_in_place_of_their_lines_and_its_error_is_one_of_the_page(monkeypatch):
+    pytest.importorskip("jupytext", reason="the optional dependencies docs are not installed")
+    from docs.generate import execution
+
+    def output_of(command: str, page: str) -> str:
+        if "fail" in command:
+            raise outputs.CommandError(f"{page} failed")
+        return f"{command} on {page}"
+
+    monkeypatch.setattr(execution, "output_of", output_of)
+    monkeypatch.setattr(execution, "refusal_of", lambda command, page: f"refused: {command}")
+    text = "a\n<!-- output of: smajax b -->\n<!-- refusal of: smajax c -->\n"
+    execution.begin({"a.md": text, "b.md": "<!-- output of: smajax fail -->", "c.md": "plain"})
+    assert execution.with_outputs(text, "a.md") == "a\nsmajax b on a.md\nrefused: smajax c\n"
+    assert execution.with_outputs("plain", "c.md") == "plain"
+    with pytest.raises(outputs.CommandError, match=r"b\.md failed"):
+        execution.with_outputs("<!-- output of: smajax fail -->", "b.md")
+    execution.stop()
+    outputs.clean_up()
+
+
 def test_a_picture_has_another_one_for_narrow_screens():
     pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
     pytest.importorskip("mkdocs")
@@ -276,4 +297,8 @@ def test_the_output_of_a_command_is_what_it_prints():
     assert "Fitted and scored: strain" in outputs.output_of("smajax check bench/example.toml bench/train.csv", "a.md")
     with pytest.raises(outputs.CommandError, match="there is no such file"):
         outputs.output_of("smajax check bench/example.toml bench/train.csv", "b.md")  # another page, another folder
+    refusal = outputs.refusal_of("smajax check bench/example.toml bench/train.csv", "b.md")
+    assert refusal.startswith("```text\n$ smajax check") and "there is no such file" in refusal
+    with pytest.raises(outputs.CommandError, match="ended with 0, not 2"):
+        outputs.refusal_of("smajax check bench/example.toml bench/train.csv", "a.md")
     outputs.clean_up()
