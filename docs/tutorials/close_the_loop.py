@@ -139,7 +139,7 @@ print(result)
 # residual into account, but no interval contains an error of the equations. (The noise floor in that table is the
 # scatter from row to row, which is small because the curves are filtered.)
 
-# %% figure="Strain over temperature of the fitted cycles, measured and modelled, and their difference"
+# %% figure="Strain of the fitted cycles row by row, measured and modelled, their difference, and the inputs"
 result.plot()
 
 # %%
@@ -163,7 +163,7 @@ print(found)
 #
 # What counts is the recording at 150 MPa, to which nothing was fitted.
 
-# %% figure="Strain over temperature at 150 MPa, measured and modelled before and after the diagnosis"
+# %% figure="Strain at 150 MPa row by row, measured, and modelled before and after the diagnosis"
 found.plot()
 
 # %%
