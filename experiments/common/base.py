@@ -238,7 +238,13 @@ def exponent(sizes: Sequence[float], seconds: Sequence[float]) -> float:
 
 
 def finish(
-    rows: Sequence[Row], args: argparse.Namespace, *, words: str = "", resumed: bool = False, **facts: Any
+    rows: Sequence[Row],
+    args: argparse.Namespace,
+    *,
+    words: str = "",
+    resumed: bool = False,
+    seconds: float | None = None,
+    **facts: Any,
 ) -> None:
     """Print the table, and write it to the JSON file and to the folder of results if the command line asks for it.
 
@@ -247,12 +253,13 @@ def finish(
         args: The command line, as ``arguments`` gives it.
         words: Options that change the result, as they are written on the command line, with a blank before each.
         resumed: Whether a part of the numbers is of an earlier run.
+        seconds: Running time of all parts of a resumed run, if it is known.
         facts: Further entries of the JSON document.
     """
     print(
         table(["what", "target", "measured", "met"], [(r.what, r.target, r.measured, _yes_or_no(r.met)) for r in rows])
     )
-    document = results.document_of([asdict(row) for row in rows], words, args.quick, resumed)
+    document = results.document_of([asdict(row) for row in rows], words, args.quick, resumed, seconds)
     if args.json:
         results.write(args.json, document | facts)
     if args.record:

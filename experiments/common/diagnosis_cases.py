@@ -7,6 +7,7 @@ next to what was hidden.
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from smajax.diagnosis.result import Diagnosis
 Case = tuple[str, str, tuple[str, ...], dict[str, float], int]
 # What is recorded of a case, by name, as it is written to cases.jsonl.
 Facts = dict[str, Any]
+# Longest processor time of a case, s: a minute of one core.
+LONGEST = 60.0
 # Effects that one recording cannot distinguish: naming either counts as naming the other.
 INTERCHANGEABLE = {"ratcheting": {"functional-fatigue"}, "functional-fatigue": {"ratcheting"}}
 
@@ -44,7 +47,9 @@ def collect_facts(
     for case in cases:
         group, name, _, _, seed = case
         if (group, name, seed) not in done:
-            done[group, name, seed] = run(rig, case)
+            start = time.process_time()
+            facts_of_case = run(rig, case)
+            done[group, name, seed] = facts_of_case | {"processor_seconds": time.process_time() - start}
             add_case(folder, done[group, name, seed])
         facts.append(done[group, name, seed])
     return facts
@@ -71,7 +76,8 @@ def report_cases(
     resumed = bool(read_cases(args.out))
     facts = collect_facts(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
     options = "" if args.quick or args.seeds == default_seeds else f" --seeds {args.seeds}"
-    finish(rows(facts), args, words=options, resumed=resumed, cases=facts)
+    seconds = sum(fact["seconds"] for fact in facts) if resumed else None
+    finish(rows(facts), args, words=options, resumed=resumed, seconds=seconds, cases=facts)
 
 
 def verdict_facts(case: Case, diagnosis: Diagnosis) -> Facts:
@@ -114,6 +120,19 @@ def scored_facts(label: str, case: Case, diagnosis: Diagnosis, noises: Mapping[s
         "holdout_over_noise": after,
         "seconds": seconds,
     }
+
+
+def time_rows(group: str, facts: list[Facts]) -> list[Row]:
+    """Return the row of the processor time of cases, which other programs on the machine hardly change.
+
+    There is none where a case of an earlier run has no processor time.
+    """
+    seconds = [c["processor_seconds"] for c in facts if "processor_seconds" in c]
+    if not seconds or len(seconds) < len(facts):
+        return []
+    text = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
+    what = f"{group}processor seconds a case, median and longest"
+    return [Row(what, f"<= {LONGEST:g} s", text, max(seconds) <= LONGEST)]
 
 
 def names_effect(case: Facts, key: str) -> bool:

@@ -30,23 +30,27 @@ def experiment_name() -> str:
     return path.relative_to(EXPERIMENTS).as_posix() if path.is_relative_to(EXPERIMENTS) else path.name
 
 
-def document_of(rows: list[dict[str, Any]], words: str, quick: bool, resumed: bool) -> dict[str, Any]:
+def document_of(
+    rows: list[dict[str, Any]], words: str, quick: bool, resumed: bool, seconds: float | None = None
+) -> dict[str, Any]:
     """Return the document of a run that ends now.
 
     Args:
         rows: The lines of the table.
         words: Options that change the result, as they are written on the command line, with a blank before each.
         quick: Whether it is a quick run.
-        resumed: Whether a part of the numbers is of an earlier run; the running time is then not known.
+        resumed: Whether a part of the numbers is of an earlier run.
+        seconds: Running time of all parts of a resumed run; ``None`` where it is not known.
     """
-    name = experiment_name()
+    name, own = experiment_name(), time.perf_counter() - _STARTED
+    taken = seconds if resumed else own
     return {
         "experiment": name,
         "words": words,
         "command": f"python experiments/{name}.py{words}{' --quick' if quick else ''}",
         "quick": quick,
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "seconds": None if resumed else round(time.perf_counter() - _STARTED, 1),
+        "seconds": None if taken is None else round(taken, 1),
         "machine": _machine(),
         "versions": {"smajax": smajax.__version__, "python": platform.python_version()}
         | {package: version(package) for package in PACKAGES},

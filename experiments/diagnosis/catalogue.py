@@ -24,7 +24,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments
-from experiments.common.diagnosis_cases import Case, Facts, names_effect, report_cases, scored_facts
+from experiments.common.diagnosis_cases import Case, Facts, names_effect, report_cases, scored_facts, time_rows
 from experiments.common.hidden_recordings import NOISE, draw_inputs, draw_shipped_rig
 from experiments.diagnosis.two_wires import NOISE as NOISE_OF_ANGLE
 from experiments.diagnosis.two_wires import record_angle
@@ -176,9 +176,7 @@ def rows(facts: list[Facts]) -> list[Row]:
                 f"{', '.join(effects) or 'none'}, {c['before_over_noise']:.1f} -> {c['holdout_over_noise']:.2f}"
             )
         table.append(Row(f"{group}, {name}: named, error over noise", CASES[name][0] or "none", "; ".join(text), None))
-    seconds = [c["seconds"] for c in facts]
-    text = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
-    return [*table, Row("seconds a case, median and longest", "<= 60 s", text, max(seconds) <= 60.0)]
+    return [*table, *time_rows("", facts)]
 
 
 def main() -> None:

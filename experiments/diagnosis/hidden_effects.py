@@ -30,7 +30,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments, say
-from experiments.common.diagnosis_cases import Case, Facts, names_effect, report_cases, verdict_facts
+from experiments.common.diagnosis_cases import Case, Facts, names_effect, report_cases, time_rows, verdict_facts
 from experiments.common.hidden_recordings import EFFECTS, NOISE, draw_strengths, record
 
 import numpy as np
@@ -319,11 +319,7 @@ def rows(facts: list[Facts]) -> list[Row]:
         ),
         *ablation_rows(singles, nulls, same_input),
     ]
-    seconds = [c["seconds"] for c in singles]
-    text = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
-    table.append(Row("seconds a case, median and longest (one effect)", "<= 60 s", text, max(seconds) <= 60.0))
-    table += case_rows(singles, outside)
-    return table
+    return [*table, *time_rows("", singles), *case_rows(singles, outside)]
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments
-from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, verdict_rows
+from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, time_rows, verdict_rows
 from experiments.common.hidden_recordings import EFFECTS, draw_shipped_rig, draw_strengths
 
 import numpy as np
@@ -145,16 +145,7 @@ def rows(facts: list[Facts]) -> list[Row]:
     singles, nulls, pairs, outside = (
         [c for c in facts if c["group"] == g] for g in ("one effect", "nothing", "two effects", "in no catalogue")
     )
-    seconds = [c["seconds"] for c in singles]
-    table = [
-        *verdict_rows("", singles, nulls, pairs, outside),
-        Row(
-            "seconds a case, median and longest (one effect)",
-            "<= 60 s",
-            f"{np.median(seconds):.0f}, {max(seconds):.0f}",
-            max(seconds) <= 60.0,
-        ),
-    ]
+    table = [*verdict_rows("", singles, nulls, pairs, outside), *time_rows("", singles)]
     for key in PAIR_EFFECTS:
         same_key = [c for c in singles if c["keys"][0] == key]
         if same_key:
