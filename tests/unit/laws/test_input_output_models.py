@@ -827,7 +827,7 @@ def test_a_fit_that_is_stopped_keeps_the_best_point(structure, signal):
 
 
 def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
-    def interrupt(self):
+    def interrupt(self, group):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
@@ -837,7 +837,7 @@ def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
 
 
 def test_a_stop_iteration_of_other_code_is_a_fault(monkeypatch):
-    monkeypatch.setattr(MultiStartSolver, "_arguments", lambda _: next(iter(())))
+    monkeypatch.setattr(MultiStartSolver, "_arguments", lambda *_: next(iter(())))
     series = [Series("a", TIME, INPUT, INPUT)]
     with pytest.raises(StopIteration):
         fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
