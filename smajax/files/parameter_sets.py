@@ -71,7 +71,7 @@ class EntryTable(BaseModel):
     """``[SECTION.KEY]``, a parameter."""
 
     model_config = STRICT
-    value: Any = Field(description="value of the parameter", examples=['"48.4 degC"'])
+    value: Any = Field(description="value of the parameter", examples=['"..."'])
     bounds: list[Any] | None = Field(
         None,
         min_length=2,
