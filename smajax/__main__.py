@@ -1,8 +1,6 @@
 """Run the command line: ``python -m smajax``, and the script ``smajax``."""
 
-import sys
-
-from smajax.app.loading import end_on_interrupt, exit_on_interrupt, interrupt_at_time_limits
+from smajax.app.loading import end_on_interrupt, end_process, exit_on_interrupt, interrupt_at_time_limits
 from smajax.app.memory_limit import report_out_of_memory
 from smajax.errors import Cancelled
 
@@ -24,7 +22,7 @@ def main() -> None:
     except SystemExit as end:
         code = end.code
     end_on_interrupt(code)
-    sys.exit(code)
+    end_process(code)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,15 @@
 An exception in the import of an extension module would come out as another one, or crash the process.
 """
 
+import contextlib
 import os
 import signal
+import sys
 import threading
 from types import FrameType
 
 from smajax.errors import Cancelled
+from smajax.numerics.process import COMPILATION
 
 # Signal of Linux and macOS at the soft limit of processor time (``ulimit -St``), which is sent again each second.
 OUT_OF_TIME: int | None = getattr(signal, "SIGXCPU", None)
@@ -36,8 +39,25 @@ def end_on_interrupt(code: object) -> None:
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
     if in_main_thread and callable(signal.getsignal(signal.SIGINT)):  # a background process ignores it
-        number = code if isinstance(code, int) else int(code is not None)
-        signal.signal(signal.SIGINT, lambda *_: os._exit(number))
+        signal.signal(signal.SIGINT, lambda *_: os._exit(_number_of(code)))
+
+
+def end_process(code: object) -> None:
+    """End the process; at once where a thread still compiles, since nobody waits for the program any more.
+
+    Args:
+        code: Code of ``SystemExit``; ``None`` is 0.
+    """
+    if any(thread.name == COMPILATION for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):  # closed
+                stream.flush()
+        os._exit(_number_of(code))
+    sys.exit(code)  # pyright: ignore[reportArgumentType]
+
+
+def _number_of(code: object) -> int:
+    return code if isinstance(code, int) else int(code is not None)
 
 
 def raise_on_interrupt() -> None:

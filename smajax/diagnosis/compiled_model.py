@@ -34,6 +34,7 @@ from smajax.diagnosis.nonparametric import KINDS, KNOTS, VARIABLES, set_terms
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
+from smajax.numerics.process import COMPILATION
 from smajax.numerics.stored_programs import stored
 from smajax.simulation.sensitivities import Trajectory
 
@@ -233,7 +234,7 @@ def start_compilation(
     derivatives = start_solver(model, vector, -unbounded, unbounded, **options)
     derivatives.trace_program()
     threads = [
-        threading.Thread(target=task, daemon=True)
+        threading.Thread(target=task, name=COMPILATION)
         for task in ((lambda: derivatives.advance(1)), (lambda: simulate(point, model)))
     ]
     for thread in threads:

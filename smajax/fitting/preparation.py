@@ -16,6 +16,7 @@ from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import build_problem
 from smajax.fitting.searches import search_options
 from smajax.fitting.unknowns import Settings
+from smajax.numerics.process import COMPILATION
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 
@@ -34,7 +35,8 @@ def compile_in_background(
         settings: Its settings.
         interpolation: Electrical inputs between samples.
     """
-    threading.Thread(target=_take_a_step, args=(plant, recordings, settings, interpolation), daemon=True).start()
+    arguments = plant, recordings, settings, interpolation
+    threading.Thread(target=_take_a_step, args=arguments, name=COMPILATION).start()
 
 
 def _take_a_step(plant: Plant, recordings: Sequence[Recording], settings: Settings, interpolation: str) -> None:

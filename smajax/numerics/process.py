@@ -16,6 +16,8 @@ _GARBAGE_THRESHOLD = 200_000
 _KEEP_FREED_MEMORY = {-1: 512 * 2**20, -4: 0, -8: 1}  # M_TRIM_THRESHOLD, M_MMAP_MAX, M_ARENA_MAX
 STORED_PROGRAMS = "SMAJAX_STORED_PROGRAMS"
 """Environment variable: whether traced programs are kept between processes, ``on`` or ``off``."""
+COMPILATION = "smajax-compilation"
+"""Name of the threads that compile in the background."""
 
 
 def prepare_jax(accelerator: bool = False) -> None:
