@@ -43,7 +43,7 @@ def place_figure(figure: str, text: str, page: str) -> str:
         page: The page.
     """
     content = json.loads(figure)
-    content["layout"]["dragmode"] = False  # a finger on the figure scrolls the page
+    content["layout"]["dragmode"] = False  # touching the figure scrolls the page
     height = content["layout"].get("height", 450)
     place = "figure-" + re.sub(r"\W+", "-", f"{page} {text}").strip("-")
     _drawn[place] = json.dumps(content).replace("</", "<\\/")

@@ -71,7 +71,7 @@ class FitMemory(NamedTuple):
 
     @property
     def batch(self) -> float:
-        """Bytes of the fit with all starts as one batch."""
+        """Bytes of the fit with all starts at a time."""
         return float(self.others + self.starts * (self.ends + self.evaluation))
 
     def sentence(self, free: float | None = None) -> str:

@@ -27,17 +27,16 @@ from smajax.progress import CallbackStop, stoppable
 _MIN_SCREENED = 48
 # Least number of these per start; chosen by trial on fits of rigs.
 _SCREENED_PER_START = 4
-# Points of one batch when starts are chosen, so that the cores share them. Chosen by trial for speed.
+# Points of one batch when starts are chosen: four batches of the least number of points, for several cores.
 _SCREENED_AT_ONCE = 12
-# From this number of recordings on, a Jacobian costs so much more than a simulation that it is evaluated only where a
-# step is accepted. Chosen by trial for speed.
+# From this number of recordings on, the Jacobian is evaluated only where a step is accepted. Chosen by trial for speed.
 LAZY_FROM = 4
 
 
 def screen_starts(
     problem: AbstractFitProblem, starts: int, seed: int, at_once: int | None = None
 ) -> tuple[np.ndarray, int]:
-    """Choose the best of many random points, simulated as one batch, as starts in addition to the nominal one.
+    """Choose the best of many random points as starts in addition to the nominal one.
 
     At most random points the wire never transforms, and the gradient does not lead to a transformation.
 
@@ -45,7 +44,7 @@ def screen_starts(
         problem: The problem.
         starts: Number of starts.
         seed: Seed of the random points.
-        at_once: Most points that are simulated as one batch; all if not given.
+        at_once: Most points that are simulated at a time; no limit if not given.
 
     Returns:
         The nominal point and ``starts - 1`` others, shape ``(starts, p)``, and the number of simulations.
@@ -79,7 +78,7 @@ def screen_displaced_starts(
         seed: Seed of the random points.
         direction: Change of the vector by a displacement of 1, shape ``(p,)``.
         displacements: Least and largest displacement.
-        at_once: Most points that are simulated as one batch; all if not given.
+        at_once: Most points that are simulated at a time; no limit if not given.
 
     Returns:
         The nominal point and ``starts`` others, shape ``(starts + 1, p)``, and the number of simulations.

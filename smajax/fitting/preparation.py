@@ -1,7 +1,7 @@
-"""What a search of a fit needs, made ready in the background while recordings are checked and starts are chosen.
+"""Compilation of a fit's search in the background, while recordings are checked and starts are chosen.
 
-Compiling a program, or loading it from the cache, holds no lock of Python, so that it needs no time of its own on a
-second core. ``experiments/speed/start_up.py`` shows what it buys.
+Compilation, and loading from the cache, release Python's global interpreter lock, so that they run on another core.
+``experiments/speed/start_up.py`` prints the times of a fit.
 """
 
 import contextlib
