@@ -4,8 +4,6 @@ import dataclasses
 import json
 import math
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -59,6 +57,7 @@ from smajax.report.diagnosis_summary import sentences
 from smajax.report.diagnosis_wording import experiment_text, rejection_text
 from smajax.report.documents.schemas import schemas
 from smajax.simulation.status import SimulationStatus
+from tests.support.browser import drawn_page
 
 
 def test_score_estimates_a_planted_strength_beyond_the_free_parameters():
@@ -237,21 +236,7 @@ def test_document_matches_its_schema(demo, schema):
 @pytest.mark.slow
 def test_report_in_a_browser(demo, tmp_path):
     """The page after a browser has drawn it: all figures, the verdict on top, no request to the network."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("there is no Chromium on this machine")
-    words = [
-        browser,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        f"--user-data-dir={tmp_path}",
-        "--virtual-time-budget=20000",
-    ]
-    browser_run = subprocess.run(
-        [*words, "--dump-dom", (demo / "report.html").as_uri()], capture_output=True, text=True, timeout=120
-    )
-    page = browser_run.stdout
+    page = drawn_page(demo / "report.html", tmp_path)
     figures = json.loads(re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)[1])  # pyright: ignore[reportOptionalSubscript]
     assert len(figures) > 6
     assert page.count('class="main-svg"') >= 2 * len(figures)

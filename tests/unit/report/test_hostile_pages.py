@@ -3,8 +3,6 @@
 import copy
 import dataclasses
 import re
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,6 +12,7 @@ import plotly.offline
 import pytest
 
 from smajax.report.rebuild import build_page
+from tests.support.browser import drawn_page
 from tests.unit.report.example_documents import EXAMPLES, example_series, run
 
 ATTACK, MARK = "document.documentElement.dataset.broken=1", "data-broken"
@@ -152,25 +151,29 @@ def test_the_outline_shows_what_breaks_out(chosen_places, without_plotly, monkey
     assert plain != hostile
 
 
-def drawn(page: str, folder: Path) -> str:
-    """The elements of a page after a browser has drawn it, as HTML."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("there is no Chromium on this machine")
-    folder.mkdir(parents=True)
-    (folder / "report.html").write_text(page, "utf-8")
-    words = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}", "--virtual-time-budget=20000"]
-    address = (folder / "report.html").as_uri()
-    return subprocess.run(
-        [browser, *words, "--dump-dom", address], capture_output=True, text=True, timeout=120, encoding="utf-8"
-    ).stdout
+@pytest.fixture(scope="module")
+def drawn_plainly(chosen_places, tmp_path_factory) -> Callable[[str], str]:
+    """The page of a command with a plain text, drawn once."""
+    found: dict[str, str] = {}
+
+    def draw(command: str) -> str:
+        if command not in found:
+            found[command] = drawn(command, PLAIN, chosen_places(command), tmp_path_factory.mktemp("plain"))
+        return found[command]
+
+    return draw
 
 
-def check_in_browser(command: str, text: str, chosen: list[Place], folder: Path) -> None:
+def drawn(command: str, text: str, chosen: list[Place], folder: Path) -> str:
+    """The elements of the page of a command with a text after a browser has drawn it, as HTML."""
+    (folder / "report.html").write_text(page_of(command, text, chosen), "utf-8")
+    return drawn_page(folder / "report.html", folder)
+
+
+def check_in_browser(plain: str, page: str) -> None:
     """A browser draws all figures of a page with a text, and the same elements as of a page with a plain one."""
-    pages = [drawn(page_of(command, words, chosen), folder / f"{k}") for k, words in enumerate((PLAIN, text))]
-    assert pages[0].count('class="main-svg"') == pages[1].count('class="main-svg"') > 0
-    outlines = [Outline(page) for page in pages]
+    assert plain.count('class="main-svg"') == page.count('class="main-svg"') > 0
+    outlines = [Outline(plain), Outline(page)]
     assert outlines[0].outside_pictures() == outlines[1].outside_pictures()
     assert outlines[1].in_pictures <= outlines[0].in_pictures
     assert not [names for _, names in outlines[1].elements if MARK in names]
@@ -178,13 +181,15 @@ def check_in_browser(command: str, text: str, chosen: list[Place], folder: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", EXAMPLES)
-def test_a_browser_executes_no_text(command, chosen_places, tmp_path):
+def test_a_browser_executes_no_text(command, chosen_places, drawn_plainly, tmp_path):
     """All texts at once."""
-    check_in_browser(command, "".join(HOSTILE), chosen_places(command), tmp_path / "page")
+    page = drawn(command, "".join(HOSTILE), chosen_places(command), tmp_path)
+    check_in_browser(drawn_plainly(command), page)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(HOSTILE)))
 @pytest.mark.parametrize("command", EXAMPLES)
-def test_a_browser_executes_none_of_the_texts(command, number, chosen_places, tmp_path):
-    check_in_browser(command, HOSTILE[number], chosen_places(command), tmp_path / "page")
+def test_a_browser_executes_none_of_the_texts(command, number, chosen_places, drawn_plainly, tmp_path):
+    page = drawn(command, HOSTILE[number], chosen_places(command), tmp_path)
+    check_in_browser(drawn_plainly(command), page)
