@@ -1,6 +1,8 @@
 """Time constants of a plant, and the step size that resolves them."""
 
+import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.numerics.stored_programs import stored
@@ -70,7 +72,9 @@ def resolving_step(plant: Plant) -> Float[Array, ""]:
 
 def default_step(plant: Plant) -> float:
     """Return ``resolving_step`` as a Python float, in s; infinite where each row is one step."""
-    return float(_resolving_step(plant))
+    # The step may be known although other parameters of the plant are traced; a program's result would be traced, too.
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(plant))
+    return float(resolving_step(plant) if traced else _resolving_step(plant))
 
 
 def wire_time_constant(plant: Plant) -> float:
