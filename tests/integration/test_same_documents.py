@@ -38,7 +38,7 @@ import smajax as sma
 {call}.save({folder!r})
 """
 TIMES = ("wall_s", "compile_s")
-# Variables of the tests' own process, which sets JAX up as a command does.
+# Variables of the tests' own process, which sets JAX up as a command does and stores no programs.
 OURS = ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64", "SMAJAX_STORED_PROGRAMS")
 
 
@@ -58,7 +58,7 @@ def write_short_controller(path: Path) -> None:
 
 
 def run_both(words: list[str], program: str) -> None:
-    """Run a command, and a program in Python, each in a process without settings of JAX."""
+    """Run a command, and a program in Python, each in a process without settings of the tests."""
     clean = {key: value for key, value in os.environ.items() if key not in OURS}
     subprocess.run([sys.executable, "-m", "smajax", *words], env=clean, check=True)
     subprocess.run([sys.executable, "-c", program], env=clean, check=True)

@@ -18,14 +18,14 @@ def drawn_page(page: Path, folder: Path) -> str:
     """The elements of a page after Chromium has drawn it, as HTML; skips the test where there is none.
 
     Args:
-        page: the file of the page.
-        folder: an empty folder for the files of the browser.
+        page: The file of the page.
+        folder: An empty folder for the files of the browser.
 
     Returns:
-        The document as HTML.
+        The elements as HTML.
 
     Raises:
-        subprocess.TimeoutExpired: the browser did not end twice.
+        subprocess.TimeoutExpired: If the browser did not end at the second try either.
     """
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
