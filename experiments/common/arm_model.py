@@ -9,10 +9,11 @@ from experiments.common.arm_log import Log, reading_shift
 
 import jax
 import numpy as np
-from equinox import Module, field, filter_jit
+from equinox import Module, field
 
 from smajax import parameters
 from smajax.fitting.problem import Problem
+from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.recordings.recording import Recording
 
 LEVER = 0.003  # m of wire per rad of bend; nominal, since max_transformation_strain scales with it
@@ -137,7 +138,7 @@ class Model(Module):
         return dataclasses.replace(self.problem, plant=plant), values[:count] / self.problem.scales
 
 
-@filter_jit
+@jit_with_kernels
 def linearise(model: Model, values: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the residuals and their Jacobian."""
 
