@@ -29,6 +29,8 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import func, stablehlo
 from jax.interpreters import ad, batching, mlir
 
+from smajax.numerics.stored_values import store_repeated_values
+
 # Operations that XLA does not compile into one kernel: those that SmallWhileLoopHoistingPass leaves out, and those that
 # XLA expands to them.
 _UNAVAILABLE = {
@@ -204,6 +206,7 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
         for k, operand in enumerate(operation.operands):
             if operand in replacements:
                 operation.operands[k] = replacements[operand]
+    store_repeated_values(module, loop)
 
 
 def _values_from_outside(loop: Any) -> list[Any]:
