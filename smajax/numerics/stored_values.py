@@ -1,4 +1,4 @@
-"""Values in a loop that are stored, where XLA would compute them again for each of their uses.
+"""Values in a loop that are stored where XLA would compute them again for each of their uses.
 
 XLA fuses an operation into every operation that uses its result, and so performs it once for each of them. Where the
 unknowns of a step are coupled that multiplies the operations of a loop: in a step of nine cells of a wire by ten. Here
@@ -9,7 +9,7 @@ The call of one that returns its argument therefore has a value stored.
 What does not change in a loop stays as it is, since XLA computes it before the loop.
 
 With it the shipped wire that lifts a weight is differentiated in 0.66 times the time, and one of nine cells simulated
-in 0.40 and differentiated in 0.32 times (experiments/speed/stored_values.py).
+in 0.40 and differentiated in 0.32 times (experiments/speed/compiled_loops.py).
 """
 
 import itertools
@@ -22,8 +22,7 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import func
 from jax.interpreters import mlir
 
-# Repeated operations per stored number from which a value is stored. Chosen by trial: between 6 and 24 the times differ
-# by a tenth (experiments/speed/stored_values.py).
+# Repeated operations for each number of a value from which the value is stored. Chosen by trial.
 REPEATED_OPERATIONS = 12
 # Operations that only move numbers.
 _MOVES = {
@@ -43,7 +42,7 @@ _MOVES = {
 }
 # Operations that compute a number from many numbers.
 _SUMS = {"reduce", "dot_general"}
-# Operations that use other numbers of an argument than all of them once.
+# Operations that use as many numbers of an argument as their result has, not each of them once.
 _SELECTIONS = {"broadcast_in_dim", "dynamic_slice", "slice"}
 
 
