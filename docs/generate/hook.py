@@ -37,6 +37,9 @@ MATH_OF_BLOCK = '<math displaystyle="true" '
 PRIMED = re.compile(r"<msup>(<mi>[^<]*</mi>|<mover>.*?</mover>)<mi>&#x02032;</mi></msup>")
 PRIMED_INDEX = re.compile(r"<msubsup>(<mi>[^<]*</mi>)(<m[in]>[^<]*</m[in]>)<mi>&#x02032;</mi></msubsup>")
 DOT = re.compile(r"<mover>(?=(?:<mrow>)?<mi>[^<]*</mi>(?:</mrow>)?<mo>&#x00(?:2D9|0A8);</mo>)")
+# Bars around a value, and functions with a name, which latex2mathml writes with the spaces of other symbols.
+BARS = re.compile(r"<mo>&#x0007C;</mo>(.*?)<mo>&#x0007C;</mo>")
+NAMED_FUNCTION = re.compile(r"<mi>(arctan|cos|exp|ln|sin|sinh|tanh)</mi>")
 _PRIME = '<mo lspace="0em" rspace="0em">&#x02032;</mo>'
 # An address that a browser loads when the page opens; a link that a reader follows is none.
 LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
@@ -144,7 +147,9 @@ def _equations(formula: str) -> list[str]:
 
 
 def _converted(formula: str, display: str) -> str:
-    """Return an equation as MathML, with primes and dots of the size of a symbol."""
+    """Return an equation as MathML, with primes and dots of the size of a symbol, and spaces as TeX has them."""
     math = PRIMED.sub(f"<mrow>\\1{_PRIME}</mrow>", convert(formula, display=display))
     math = PRIMED_INDEX.sub(f"<msub><mrow>\\1{_PRIME}</mrow>\\2</msub>", math)
+    math = BARS.sub(r'<mo form="prefix">&#x0007C;</mo>\1<mo form="postfix">&#x0007C;</mo>', math)
+    math = NAMED_FUNCTION.sub(r'<mo lspace="0.17em" rspace="0em">\1</mo>', math)
     return DOT.sub('<mover accent="true">', math)

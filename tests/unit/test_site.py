@@ -265,6 +265,18 @@ def test_equations_of_a_formula_may_stand_on_several_lines_with_primes_of_full_s
         assert "&#x02032;</mo>" in shown(formula) and "<msup>" not in shown(formula) and "msubsup" not in shown(formula)
 
 
+def test_formulas_have_the_spaces_of_tex():
+    pytest.importorskip("latex2mathml", reason="the optional dependencies docs are not installed")
+    pytest.importorskip("mkdocs")
+    from docs.generate import hook
+
+    shown = hook.on_page_content(
+        r'<span class="arithmatex">\(f \tanh(x) + {\lvert w \rvert}^n\)</span>', None, None, None
+    )
+    assert '<mo lspace="0.17em" rspace="0em">tanh</mo>' in shown
+    assert '<mo form="prefix">&#x0007C;</mo><mi>w</mi><mo form="postfix">&#x0007C;</mo></mrow><mi>n</mi>' in shown
+
+
 def test_the_font_of_formulas_ships():
     style = (ROOT / "docs" / "stylesheets" / "site.css").read_text("utf-8")
     fonts = re.findall(r'url\("\.\./(fonts/[^"]+)"\)', style)
