@@ -7,6 +7,7 @@ next to what was hidden.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -120,6 +121,17 @@ def scored_facts(label: str, case: Case, diagnosis: Diagnosis, noises: Mapping[s
         "holdout_over_noise": after,
         "seconds": seconds,
     }
+
+
+def error_text(case: Facts, precision: str = ".2f") -> str:
+    """Return the held-out error over the noise before and after the diagnosis; a failed prediction has none.
+
+    Args:
+        case: The facts of a case.
+        precision: Format of the errors.
+    """
+    errors = case["before_over_noise"], case["holdout_over_noise"]
+    return " -> ".join(format(error, precision) if math.isfinite(error) else "failed" for error in errors)
 
 
 def time_rows(group: str, facts: list[Facts]) -> list[Row]:

@@ -24,7 +24,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments
-from experiments.common.diagnosis_cases import Case, Facts, names_effect, report_cases, scored_facts, time_rows
+from experiments.common.diagnosis_cases import (
+    Case,
+    Facts,
+    error_text,
+    names_effect,
+    report_cases,
+    scored_facts,
+    time_rows,
+)
 from experiments.common.hidden_recordings import NOISE, draw_inputs, draw_shipped_rig
 from experiments.diagnosis.two_wires import NOISE as NOISE_OF_ANGLE
 from experiments.diagnosis.two_wires import record_angle
@@ -172,9 +180,7 @@ def rows(facts: list[Facts]) -> list[Row]:
         text = []
         for c in (c for c in facts if (c["group"], c["case"]) == (group, name)):
             effects = [f"{e} (or {', '.join(same)})" if (same := c["equivalent"].get(e)) else e for e in c["effects"]]
-            text.append(
-                f"{', '.join(effects) or 'none'}, {c['before_over_noise']:.1f} -> {c['holdout_over_noise']:.2f}"
-            )
+            text.append(f"{', '.join(effects) or 'none'}, {error_text(c)}")
         table.append(Row(f"{group}, {name}: named, error over noise", CASES[name][0] or "none", "; ".join(text), None))
     return [*table, *time_rows("", facts)]
 

@@ -26,7 +26,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments
-from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, time_rows, verdict_rows
+from experiments.common.diagnosis_cases import (
+    Case,
+    Facts,
+    error_text,
+    report_cases,
+    scored_facts,
+    time_rows,
+    verdict_rows,
+)
 from experiments.common.hidden_recordings import EFFECTS, NOISE, perturb_rig
 from experiments.diagnosis.hidden_effects import PAIRS as PAIRS_OF_ONE
 from experiments.diagnosis.hidden_effects import UNLISTED as UNLISTED_OF_ONE
@@ -182,8 +190,7 @@ def rows(facts: list[Facts]) -> list[Row]:
         table += time_rows(f"{group}: ", group_facts)
         for name in dict.fromkeys(c["case"] for c in group_facts):
             text = "; ".join(
-                f"{c['verdict']}: {', '.join(c['effects']) or 'none'}, {c['before_over_noise']:.1f} -> "
-                f"{c['holdout_over_noise']:.2f}"
+                f"{c['verdict']}: {', '.join(c['effects']) or 'none'}, {error_text(c)}"
                 for c in group_facts
                 if c["case"] == name
             )

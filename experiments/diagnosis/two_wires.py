@@ -24,7 +24,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments
-from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, time_rows, verdict_rows
+from experiments.common.diagnosis_cases import (
+    Case,
+    Facts,
+    error_text,
+    report_cases,
+    scored_facts,
+    time_rows,
+    verdict_rows,
+)
 from experiments.common.hidden_recordings import EFFECTS, draw_shipped_rig, draw_strengths
 
 import numpy as np
@@ -150,7 +158,7 @@ def rows(facts: list[Facts]) -> list[Row]:
         same_key = [c for c in singles if c["keys"][0] == key]
         if same_key:
             counts = Counter(c["effects"][0] if c["effects"] else "none" for c in same_key)
-            errors = ", ".join(f"{c['before_over_noise']:.3g} -> {c['holdout_over_noise']:.3g}" for c in same_key)
+            errors = ", ".join(error_text(c, ".3g") for c in same_key)
             text = f"{', '.join(f'{k} {n}' for k, n in counts.most_common())}; held-out error over noise {errors}"
             table.append(Row(f"hidden {key}, named first", "-", text, None, dict(counts)))
     return table
