@@ -38,7 +38,7 @@ from smajax.simulation.run import simulate_channels
 
 # Share of run time from which the package's way would count as slower.
 LIMIT = 0.05
-# Designs of the batch: the number that a chunk of a batch usually has.
+# Designs of the batch, one of the chunks of experiments/speed/against_compiled_loop.py.
 DESIGNS = 64
 # Relative difference between the designs of the batch.
 SPREAD = 0.01

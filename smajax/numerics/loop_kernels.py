@@ -29,6 +29,7 @@ from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import func, stablehlo
 from jax.interpreters import ad, batching, mlir
 
+from smajax.numerics.lowered_modules import add_call, add_function, blocks_of, callee, children, operations_inside
 from smajax.numerics.stored_values import store_repeated_values
 
 # Operations that XLA does not compile into one kernel: those that SmallWhileLoopHoistingPass leaves out, and those that
@@ -109,7 +110,7 @@ def _lower_result(ctx: mlir.LoweringRuleContext, leaf: Any) -> list[Any]:
     single_cpu = tuple(module.platforms) == ("cpu",) and getattr(module.axis_context, "num_devices", None) == 1
     # The owner of an argument is a block.
     if single_cpu and not isinstance(call, ir.Block) and call.name == "func.call":
-        _make_kernels_of_function(module, call.attributes["callee"].value)
+        _make_kernels_of_function(module, callee(call))
     return [leaf]
 
 
@@ -127,9 +128,9 @@ def _make_kernels_of_function(module: mlir.ModuleContext, name: str) -> None:
 
 def _make_kernels(module: mlir.ModuleContext, operation: Any) -> None:
     """Make kernels of the outermost loops inside an operation and in the functions that it calls."""
-    for inner in _children(operation):
+    for inner in children(operation):
         if inner.name == "func.call":
-            _make_kernels_of_function(module, inner.attributes["callee"].value)
+            _make_kernels_of_function(module, callee(inner))
         elif inner.name == "stablehlo.while" and _has_arrays(inner) and _can_be_kernel(module, inner, set()):
             _move_to_kernel(module, inner)
         else:
@@ -144,11 +145,11 @@ def _has_arrays(loop: Any) -> bool:
 
 def _can_be_kernel(module: mlir.ModuleContext, operation: Any, checked: set[str]) -> bool:
     """Return whether all operations inside, and in the functions that they call, can be part of a kernel."""
-    for inner in _children(operation):
+    for inner in children(operation):
         if inner.name != "func.call":
             possible = _is_available(inner) and _can_be_kernel(module, inner, checked)
         else:
-            name = inner.attributes["callee"].value
+            name = callee(inner)
             possible = name in checked or _can_be_kernel(module, module.symbol_table[name].operation, checked)
             checked.add(name)
         if not possible:
@@ -178,31 +179,23 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
     packed = ir.Type.parse(f"tuple<{', '.join(str(value.type) for value in used)}>")
 
     def define(name: str) -> Any:
-        function = func.FuncOp(name, ([packed], types), ip=module.ip, loc=loop.location)
-        function.attributes["sym_visibility"] = ir.StringAttr.get("private")
-        module.symbol_table.insert(function)
+        function = add_function(module, name, [packed], types)
         _finished[module.module].add(function.name.value)
         return function
-
-    def call(function: Any, value: Any, **attributes: str) -> list[Any]:
-        made = func.CallOp(types, ir.FlatSymbolRefAttr.get(function.name.value), [value])
-        texts: dict[str, Any] = {key: ir.StringAttr.get(text) for key, text in attributes.items()}
-        made.operation.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(texts)
-        return list(made.results)
 
     with loop.location:
         body, kernel = define("smajax_loop"), define("smajax_kernel")
         with ir.InsertionPoint(loop):
-            outputs = call(kernel, stablehlo.tuple(used), inlineable="false", xla_cpu_small_call="true")
+            outputs = add_call(kernel, [stablehlo.tuple(used)], inlineable="false", xla_cpu_small_call="true").results
         for result, output in zip(results, outputs, strict=True):
             result.replace_all_uses_with(output)
         with ir.InsertionPoint(kernel.add_entry_block()):
-            func.ReturnOp(call(body, kernel.arguments[0], inlineable="false"))
+            func.ReturnOp(list(add_call(body, [kernel.arguments[0]], inlineable="false").results))
         with ir.InsertionPoint(body.add_entry_block()):
             inputs = [stablehlo.get_tuple_element(body.arguments[0], k) for k in range(len(used))]
             loop.move_before(func.ReturnOp(results).operation)
     replacements = dict(zip(used, inputs, strict=True))
-    for operation in (loop, *_operations_inside(loop)):
+    for operation in (loop, *operations_inside(loop)):
         for k, operand in enumerate(operation.operands):
             if operand in replacements:
                 operation.operands[k] = replacements[operand]
@@ -211,18 +204,9 @@ def _move_to_kernel(module: mlir.ModuleContext, loop: Any) -> None:
 
 def _values_from_outside(loop: Any) -> list[Any]:
     """The values that the operations inside a loop use and that are computed outside of it, without its operands."""
-    operations = _operations_inside(loop)
-    blocks = [block for o in (loop, *operations) for region in o.regions for block in region.blocks]
+    operations = list(operations_inside(loop))
+    blocks = [block for o in (loop, *operations) for block in blocks_of(o)]
     known = {*loop.operands}
     known |= {value for o in operations for value in o.results}
     known |= {value for block in blocks for value in block.arguments}
     return list(dict.fromkeys(value for o in operations for value in o.operands if value not in known))
-
-
-def _operations_inside(operation: Any) -> list[Any]:
-    children = _children(operation)
-    return [*children, *(inner for child in children for inner in _operations_inside(child))]
-
-
-def _children(operation: Any) -> list[Any]:
-    return [o.operation for region in operation.regions for block in region.blocks for o in block.operations]

@@ -1,10 +1,10 @@
 """Values in a loop that are stored where XLA would compute them again for each of their uses.
 
 XLA fuses an operation into every operation that uses its result, and so performs it once for each of them. Where the
-unknowns of a step are coupled that multiplies the operations of a loop: in a step of nine cells of a wire by ten. Here
-such values are found in a lowered loop, before XLA sees it: those whose computation from stored values takes many more
-operations, over all uses, than storing them. XLA does not fuse across the call of a function that must not be inlined.
-The call of one that returns its argument therefore has a value stored.
+unknowns of a step are coupled, that multiplies the operations of a loop. Here such values are found in a lowered loop,
+before XLA sees it: those whose computation from stored values takes many more operations, over all uses, than storing
+them. XLA does not fuse across the call of a function that must not be inlined. The call of one that returns its
+argument therefore has a value stored.
 
 What does not change in a loop stays as it is, since XLA computes it before the loop.
 
@@ -15,12 +15,13 @@ in 0.39 and differentiated in 0.33 times (experiments/speed/compiled_loops.py).
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
 from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import func
 from jax.interpreters import mlir
+
+from smajax.numerics.lowered_modules import add_call, add_function, blocks_of, callee, operations_inside
 
 # Repeated operations for each number of a value from which the value is stored. Chosen by trial.
 REPEATED_OPERATIONS = 12
@@ -61,12 +62,12 @@ class _Storage:
 
     def __init__(self, module: mlir.ModuleContext):
         self._module = module
-        self._identities: dict[Any, str] = {}
-        self._calls = Counter(_callee(o) for o in _operations_inside(module.module.operation) if o.name == "func.call")
+        self._identities: dict[Any, Any] = {}
+        self._calls = Counter(callee(o) for o in operations_inside(module.module.operation) if o.name == "func.call")
 
     def store_in(self, loop: Any) -> None:
         """Store values in the body of a loop and in its condition."""
-        for block in _blocks(loop):
+        for block in blocks_of(loop):
             changing = {*block.arguments} - _unchanged(block)
             self._store_in_block(block, changing, {})
 
@@ -100,7 +101,7 @@ class _Storage:
             self.store_in(operation)
             return [0.0] * len(results)
         if kind in ("case", "if"):
-            for block in _blocks(operation):
+            for block in blocks_of(operation):
                 self._store_in_block(block, changing, {})
             return [0.0] * len(results)
         if not any(operand in changing for operand in operation.operands):
@@ -110,11 +111,11 @@ class _Storage:
             total += kind not in _MOVES
             repeats = max(map(_size, operation.operands)) / max(1, _size(results[0])) if kind in _SUMS else 1.0
             return [total * max(1.0, repeats)] * len(results)
-        function = self._module.symbol_table[_callee(operation)].operation
-        if self._calls[_callee(operation)] > 1:
-            inside = sum(_kind(o) not in _MOVES for o in _operations_inside(function))
+        function = self._module.symbol_table[callee(operation)].operation
+        if self._calls[callee(operation)] > 1:
+            inside = sum(_kind(o) not in _MOVES for o in operations_inside(function))
             return [total + inside] * len(results)
-        (block,) = _blocks(function)
+        (block,) = blocks_of(function)
         passed = list(zip(block.arguments, operation.operands, strict=True))
         inner = {argument: costs.get(operand, 0.0) for argument, operand in passed}
         return self._store_in_block(block, {argument for argument, operand in passed if operand in changing}, inner)
@@ -127,34 +128,23 @@ class _Storage:
         used = sum(_size(use.owner.results[0]) if _kind(use.owner) in _SELECTIONS else size for use in value.uses)
         if costs.get(value, 0.0) * (used - size) <= REPEATED_OPERATIONS * size:
             return
-        with following.location:
-            name = ir.FlatSymbolRefAttr.get(self._identity(value.type))
-            with ir.InsertionPoint(following):
-                call = func.CallOp([value.type], name, [value]).operation
-            call.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get({"inlineable": ir.StringAttr.get("false")})
+        with following.location, ir.InsertionPoint(following):
+            call = add_call(self._identity(value.type), [value], inlineable="false")
         (stored,) = call.results
         value.replace_all_uses_except(stored, call)
         changing.add(stored)
 
-    def _identity(self, kind: Any) -> str:
-        """Return the name of the function that returns its argument of a type."""
+    def _identity(self, kind: Any) -> Any:
+        """Return the function that returns its argument of a type."""
         if kind not in self._identities:
-            function = func.FuncOp("smajax_stored", ([kind], [kind]), ip=self._module.ip)
-            function.attributes["sym_visibility"] = ir.StringAttr.get("private")
-            self._module.symbol_table.insert(function)
-            block = function.add_entry_block()
-            with ir.InsertionPoint(block):
-                func.ReturnOp(list(block.arguments))
-            self._identities[kind] = function.name.value
+            function = self._identities[kind] = add_function(self._module, "smajax_stored", [kind], [kind])
+            with ir.InsertionPoint(function.add_entry_block()):
+                func.ReturnOp(list(function.arguments))
         return self._identities[kind]
 
 
 def _kind(operation: Any) -> str:
     return operation.name.partition(".")[2]
-
-
-def _callee(call: Any) -> str:
-    return call.attributes["callee"].value
 
 
 def _size(value: Any) -> int:
@@ -168,14 +158,3 @@ def _unchanged(block: Any) -> set[Any]:
     return {
         value for value, returned in zip(block.arguments, last.operation.operands, strict=False) if value == returned
     }
-
-
-def _blocks(operation: Any) -> Iterator[Any]:
-    return (block for region in operation.regions for block in region.blocks)
-
-
-def _operations_inside(operation: Any) -> Iterator[Any]:
-    for block in _blocks(operation):
-        for inner in block.operations:
-            yield inner.operation
-            yield from _operations_inside(inner.operation)

@@ -6,8 +6,8 @@ f falls from 1 at the start of the band to 0 at the finish. The laws use f limit
 that size never transforms, so that ratios of f and their derivatives are finite at the finish.
 
 Measures for speed, all in this file: the cosine is a quotient of polynomials, since the cosine of the library is not
-vectorised on a CPU, which would slow down batches. Where its value is used several times, XLA computes a polynomial
-anew for each use, a quotient once. The derivative is written out, since that of the quotient would cost more.
+vectorised on a CPU, which would slow down batches. Outside of a kernel XLA computes a polynomial anew for each use of
+its value, a quotient once. The derivative is written out, since that of the quotient would cost more.
 """
 
 import math

@@ -32,7 +32,7 @@ def steps(advance):
     return lambda start: jax.lax.scan(lambda state, row: (advance(state, row), state), start, ROWS)
 
 
-def newton(state):
+def halved(state):
     """A loop within the loop, whose end is found in a few steps."""
     return jax.lax.while_loop(lambda x: jnp.sum(jnp.abs(x)) > 1.0, lambda x: 0.5 * coupled(x), state)
 
@@ -41,7 +41,7 @@ called = jax.jit(coupled)
 LOOPS = {
     "in the loop": steps(lambda state, row: coupled(state) + row),
     "in a function": steps(lambda state, row: called(state) + row),
-    "in a loop in the loop": steps(lambda state, row: newton(state + row)),
+    "in a loop in the loop": steps(lambda state, row: halved(state + row)),
     "in a branch": steps(lambda state, row: jax.lax.cond(row > 0.5, coupled, lambda x: x, state)),
     "twice in a row": steps(lambda state, row: coupled(jnp.sin(coupled(state))) + row),
     "a scalar for all entries": steps(lambda state, row: state * 0.9 + many_operations(row + state[0])),
