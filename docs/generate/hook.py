@@ -1,13 +1,11 @@
-"""Hook of MkDocs: generated pages and parts, links to files outside of docs, and formulas as MathML."""
+"""Hook of MkDocs: generated pages and parts, links to files outside of docs, formulas and narrow screens."""
 
-import html
 import posixpath
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
-from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
@@ -17,30 +15,18 @@ sys.path.insert(0, str(ROOT))
 from docs.generate import execution, pages  # noqa: E402
 from docs.generate.blocks import FILE, REASON  # noqa: E402
 from docs.generate.figures import SCRIPT, plotly_script, with_figures  # noqa: E402
+from docs.generate.formulas import mathjax_files, prepare_formulas, with_mathjax  # noqa: E402
 from docs.generate.outputs import clean_up  # noqa: E402
 from docs.generate.results import insert_results  # noqa: E402
 
 PART = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
-FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 # Columns from which stylesheets/site.css shows a table as lists on narrow screens.
 LISTED_COLUMNS = 4
 # An image of docs/images, and the screens for which NAME-narrow.svg takes the place of NAME.svg.
 PICTURE = re.compile(r'<img\b[^>]*\bsrc="([^"]*images/)([\w-]+)\.svg"[^>]*>')
 NARROW_SCREEN = "(max-width: 45em)"
-# Between two equations of a formula.
-SEPARATOR = re.compile(r",\s*\\quad\s*")
-LEFT = re.compile(r"\\left(?!arrow)")
-MATH_OF_BLOCK = '<math displaystyle="true" '
-# A prime and a dot over a symbol, as latex2mathml writes them: of the size of an exponent, and hard to see.
-PRIMED = re.compile(r"<msup>(<mi>[^<]*</mi>|<mover>.*?</mover>)<mi>&#x02032;</mi></msup>")
-PRIMED_INDEX = re.compile(r"<msubsup>(<mi>[^<]*</mi>)(<m[in]>[^<]*</m[in]>)<mi>&#x02032;</mi></msubsup>")
-DOT = re.compile(r"<mover>(?=(?:<mrow>)?<mi>[^<]*</mi>(?:</mrow>)?<mo>&#x00(?:2D9|0A8);</mo>)")
-# Bars around a value, and functions with a name, which latex2mathml writes with the spaces of other symbols.
-BARS = re.compile(r"<mo>&#x0007C;</mo>(.*?)<mo>&#x0007C;</mo>")
-NAMED_FUNCTION = re.compile(r"<mi>(arctan|cos|exp|ln|sin|sinh|tanh)</mi>")
-_PRIME = '<mo lspace="0em" rspace="0em">&#x02032;</mo>'
 # An address that a browser loads when the page opens; a link that a reader follows is none.
 LOADED = re.compile(r'<(?:script|img|iframe|link(?! rel="canonical"))[^>]*\s(?:src|href)="?(https?:[^\s">]+)')
 # End of a sentence before a literal block, which docstrings mark by two colons.
@@ -71,13 +57,15 @@ def on_files(files: Any, config: Any) -> Any:
     for path in pages.LINKED_FILES:
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
     files.append(File.generated(config, SCRIPT, content=plotly_script()))
+    for place, path in mathjax_files().items():
+        files.append(File.generated(config, place, abs_src_path=str(path)))
     execution.begin({file.src_uri: file.content_string for file in files.documentation_pages()})
     return files
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Add the figures of a page."""
-    return with_figures(output, page.url)
+    """Add the figures of a page, and what draws its formulas."""
+    return with_mathjax(with_figures(output, page.url), page.url)
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
@@ -91,8 +79,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
-    """Convert formulas to MathML, and prepare images and tables for narrow screens."""
-    content = PICTURE.sub(_by_width, FORMULA.sub(_mathml, content))
+    """Prepare formulas for MathJax, and images and tables for narrow screens."""
+    content = PICTURE.sub(_by_width, prepare_formulas(content))
     return TABLE.sub(_labelled, LITERAL.sub(":", content))
 
 
@@ -124,32 +112,3 @@ def _target(link: str, source: str) -> str:
     path = posixpath.normpath(posixpath.join("docs", folder, link))
     page = pages.PAGES_OF_FILES.get(path) or (f"files/{path}" if path in pages.LINKED_FILES else None)
     return posixpath.relpath(page, folder or ".") if page else link
-
-
-def _mathml(match: re.Match[str]) -> str:
-    """Return a formula as MathML; equations that a wide space separates may stand on several lines."""
-    block = match[3] is not None
-    parts = _equations(html.unescape(match[3] if block else match[2]).strip())
-    if block and len(parts) == 1:
-        return f'<div class="formula">{_converted(parts[0], "block")}</div>'
-    math = ", ".join(_converted(part, "inline") for part in parts)
-    if not block:
-        return math
-    return f'<div class="formula">{math.replace("<math ", MATH_OF_BLOCK)}</div>'
-
-
-def _equations(formula: str) -> list[str]:
-    """Return the equations of a formula, which is one where brackets contain the space between them."""
-    parts = SEPARATOR.split(formula)
-    pairs = [(part.count("{"), part.count("}"), LEFT.subn("", part)[1], part.count(r"\right")) for part in parts]
-    whole = all(a == b and c == d for a, b, c, d in pairs)
-    return parts if whole else [formula]
-
-
-def _converted(formula: str, display: str) -> str:
-    """Return an equation as MathML, with primes and dots of the size of a symbol, and spaces as TeX has them."""
-    math = PRIMED.sub(f"<mrow>\\1{_PRIME}</mrow>", convert(formula, display=display))
-    math = PRIMED_INDEX.sub(f"<msub><mrow>\\1{_PRIME}</mrow>\\2</msub>", math)
-    math = BARS.sub(r'<mo form="prefix">&#x0007C;</mo>\1<mo form="postfix">&#x0007C;</mo>', math)
-    math = NAMED_FUNCTION.sub(r'<mo lspace="0.17em" rspace="0em">\1</mo>', math)
-    return DOT.sub('<mover accent="true">', math)
