@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 import smajax
-from docs.generate import api, bibliography, effect_equations, figures, formulas, keys, markdown, outputs, pages
+from docs.generate import api, bibliography, blocks, effect_equations, figures, formulas, keys, markdown, outputs, pages
 from smajax.control.controller_file import schema as controller
 from smajax.files import channel_settings, material_limits, parameter_sets, rig_schema, rig_structure
 from smajax.files.rig_file import read_rig
@@ -156,6 +156,17 @@ def test_texts_of_a_picture_can_be_read_on_a_phone(path):
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda path: path.stem)
+def test_a_tutorial_opens_as_a_notebook(page):
+    """Its commands and its Python code are cells, which a notebook runs in their order."""
+    jupytext = pytest.importorskip("jupytext", reason="the optional dependencies docs are not installed")
+    notebook = jupytext.read(page)
+    assert notebook.metadata["kernelspec"]["name"] == "python3"
+    cells = [cell.source.removeprefix("%%sh\n") for cell in notebook.cells if cell.cell_type == "code"]
+    executed = [block for block in blocks.blocks(page.read_text("utf-8")) if block.language in blocks.EXECUTED]
+    assert cells == [block.text.rstrip("\n") for block in executed]
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda path: path.stem)
 def test_a_tutorial_shows_a_figure_of_what_it_computes(page):
     text = page.read_text("utf-8")
     found = figures.FIGURE.findall(text)
@@ -223,9 +234,9 @@ def test_the_command_page_has_each_option():
 
 @pytest.mark.parametrize("page", [f"data/topics/{name}.md" for name in read_topics()])
 def test_the_sections_of_a_page_are_those_of_a_rig(page):
-    blocks = re.findall(r"^```toml\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    sections = re.findall(r"^```toml\n(.*?)^```", (ROOT / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
     rig = tomllib.loads((ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").read_text("utf-8"))
-    for block in map(tomllib.loads, blocks):
+    for block in map(tomllib.loads, sections):
         effects = {**rig.get("effects", {}), **block.get("effects", {})}
         rig = {**rig, **block, "effects": effects}
     read = read_rig({name: content for name, content in rig.items() if content})
