@@ -10,6 +10,7 @@ times exclude compilation. ``--quick`` repeats less, and takes fewer sizes of a 
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from smajax.numerics.ensemble import share_among_cores
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs
-from smajax.simulation.run import simulate_batch
+from smajax.simulation.run import simulate_batch, simulate_channels
 from tests.reference.rig_file import read_rig as read_reference
 from tests.reference.rig_file import simulate as simulate_reference
 
@@ -50,8 +51,10 @@ SPREAD, TEMPERATURE_SPREAD = 0.05, 2.0
 # Largest number of steps a sample that the loop may take.
 MOST_STEPS = 64
 # Ratios that count as good: one simulation and a design of a batch over the loop's time, the Jacobian of 8 parameters
-# over one simulation, and the gradient of a closed loop over its rollout.
-SINGLE, BATCH, JACOBIAN, GRADIENT = 0.5, 0.5, 3.0, 2.5
+# over one simulation, the gradient of a closed loop over its rollout, and costs of draws with gradients over the costs.
+SINGLE, BATCH, JACOBIAN, GRADIENT, DRAWS = 0.5, 0.5, 3.0, 2.5, 4.0
+# Parameters in which the cost of a draw is differentiated.
+DIRECTIONS = 4
 # Parameters that the fit of the shipped rig does not have, for a Jacobian of eight.
 EXTRA_PARAMETERS = ("material.clausius_clapeyron_austenite", "material.clausius_clapeyron_martensite")
 
@@ -139,14 +142,19 @@ def single_row(comparison: Comparison, repeats: int) -> Row:
     return ratio_row(f"one simulation of {len(comparison.recording)} samples over the loop", SINGLE, repeats, functions)
 
 
-def batch_row(comparison: Comparison, quick: bool) -> Row:
-    """Time a batch of designs, in chunks on one thread and more, against the loop on as many threads."""
+def drawn_designs(comparison: Comparison) -> dict[str, np.ndarray]:
+    """Draw values of the parameters of the fit around those of the rig, shape ``(DESIGNS,)`` each."""
     unknowns = comparison.problem.unknowns
     factors = np.random.default_rng(0).standard_normal((DESIGNS, len(unknowns)))
-    values = {
+    return {
         u.name: u.nominal + factors[:, i] * (TEMPERATURE_SPREAD if u.unit == "K" else SPREAD * u.nominal)
         for i, u in enumerate(unknowns)
     }
+
+
+def batch_row(comparison: Comparison, quick: bool) -> Row:
+    """Time a batch of designs, in chunks on one thread and more, against the loop on as many threads."""
+    values = drawn_designs(comparison)
     plant, channels = comparison.rig.plant, tuple(comparison.rig.fit.observe)
     designs = np.array([design_of(plant, {n: v[k] for n, v in values.items()}) for k in range(DESIGNS)])
     functions: dict[str, Callable[[], Any]] = {"loop": lambda: comparison.loops(designs)}
@@ -177,6 +185,47 @@ def _in_chunks(
         return np.asarray(simulate_batch(plant, chunk, inputs, channels)[0][channels[0]])
 
     return lambda: share_among_cores(simulate_chunk, chunks, workers=threads)
+
+
+def draws_row(comparison: Comparison, quick: bool) -> Row:
+    """Time the costs of draws of parameters on the recording, with their gradients, over the costs alone."""
+    plant, inputs, (channel,) = comparison.rig.plant, comparison.inputs, comparison.rig.fit.observe
+    drawn = drawn_designs(comparison)
+    names = tuple(drawn)[:DIRECTIONS]
+    points = np.stack([drawn[name] for name in names], axis=1)
+    measured = jnp.asarray(comparison.recording.channels[channel])
+
+    def cost(point: jax.Array) -> jax.Array:
+        drawn_plant = parameters.replace(plant, dict(zip(names, point, strict=True)))
+        modelled = simulate_channels(drawn_plant, inputs, (channel,))[0][channel]
+        return jnp.mean((modelled[: len(measured)] - measured) ** 2)
+
+    def cost_and_gradient(point: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.vmap(lambda tangent: jax.jvp(cost, (point,), (tangent,)), out_axes=(None, 0))(jnp.eye(DIRECTIONS))
+
+    programs = {"values": jit_with_kernels(jax.vmap(cost)), "gradients": jit_with_kernels(jax.vmap(cost_and_gradient))}
+    functions: dict[str, Callable[[], Any]] = {}
+    for size in (16,) if quick else (8, 16, 32, 64):
+        parts = [jnp.asarray(points[k : k + size]) for k in range(0, DESIGNS, size)]
+        for name, program in programs.items():
+            evaluate = partial(_evaluate_parts, program, parts)
+            evaluate()
+            functions[f"{name} in chunks of {size}"] = evaluate
+    ms = {words: 1e3 * total / DESIGNS for words, total in medians(3 if quick else 7, functions).items()}
+    say("draws, ms each: " + ", ".join(f"{words}: {each:.3f}" for words, each in ms.items()))
+    values, gradients = (min(each for words, each in ms.items() if words.startswith(name)) for name in programs)
+    return Row(
+        f"costs of {DESIGNS:,} draws on the recording with gradients in {DIRECTIONS} parameters over the costs, "
+        f"{THREADS} threads",
+        f"<= {DRAWS:g}x",
+        f"{gradients / values:.2f}x ({gradients:.3f} ms a draw against {values:.3f} ms)",
+        gradients / values <= DRAWS,
+        {"ratio": gradients / values, "milliseconds_per_draw": ms},
+    )
+
+
+def _evaluate_parts(program: Callable[[jax.Array], Any], parts: list[jax.Array]) -> list[Any]:
+    return share_among_cores(lambda part: jax.block_until_ready(program(part)), parts, workers=THREADS)
 
 
 def jacobian_row(recording: Recording, repeats: int) -> Row:
@@ -230,7 +279,7 @@ def main() -> None:
         {"error": comparison.error, "loop_error": comparison.loop_error, "steps_a_sample": comparison.steps},
     )
     rows = [exactness, single_row(comparison, repeats), batch_row(comparison, args.quick)]
-    rows += [jacobian_row(comparison.recording, repeats), gradient_row(repeats)]
+    rows += [jacobian_row(comparison.recording, repeats), gradient_row(repeats), draws_row(comparison, args.quick)]
     finish(rows, args)
 
 

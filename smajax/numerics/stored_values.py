@@ -25,6 +25,8 @@ from smajax.numerics.lowered_modules import add_call, add_function, blocks_of, c
 
 # Repeated operations for each number of a value from which the value is stored. Chosen by trial.
 REPEATED_OPERATIONS = 12
+# The same for values of so many numbers that they are stored as vectors, such as those of a batch.
+REPEATED_IN_VECTORS, VECTORS = 4, 16
 # Operations that only move numbers.
 _MOVES = {
     "broadcast_in_dim",
@@ -126,7 +128,8 @@ class _Storage:
         if not size or not isinstance(value.type.element_type, ir.F64Type):
             return
         used = sum(_size(use.owner.results[0]) if _kind(use.owner) in _SELECTIONS else size for use in value.uses)
-        if costs.get(value, 0.0) * (used - size) <= REPEATED_OPERATIONS * size:
+        least = REPEATED_IN_VECTORS if size >= VECTORS else REPEATED_OPERATIONS
+        if costs.get(value, 0.0) * (used - size) <= least * size:
             return
         with following.location, ir.InsertionPoint(following):
             call = add_call(self._identity(value.type), [value], inlineable="false")

@@ -29,6 +29,9 @@ from smajax.sweeps.problem import AbstractSweepProblem
 # Number of designs in a batch on an accelerator: with fewer it is idle between steps, and more do not fit into its
 # caches. Chosen by experiments/speed/sweep_throughput.py.
 ACCELERATOR_BATCH = 16384
+# Largest number of designs in a batch with derivatives on a CPU, whose tangents fill the caches of a core. Chosen by
+# trial on the sweeps of `smajax init`.
+GRADIENT_BATCH = 32
 # Memory in bytes for the arrays of a batch on each core, and on an accelerator.
 MEMORY = 2**28
 ACCELERATOR_MEMORY = 2**33
@@ -84,7 +87,7 @@ def batch_size(problem: AbstractSweepProblem, steps: int, gradients: bool) -> in
     if on_accelerator():
         fast, memory = ACCELERATOR_BATCH * jax.device_count(), ACCELERATOR_MEMORY * jax.device_count()
     else:
-        fast, memory = problem.batch, MEMORY
+        fast, memory = min(problem.batch, GRADIENT_BATCH) if gradients else problem.batch, MEMORY
     return max(1, min(fast, 2 ** int(math.log2(max(1.0, memory / _design_memory(problem, steps, gradients))))))
 
 

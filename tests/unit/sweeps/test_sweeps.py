@@ -396,7 +396,7 @@ def test_few_programs_for_many_step_numbers():
 
 def test_batches_fit_into_memory(folder):
     problem = read_sweep(folder / "sweep.toml").problem()
-    assert compilation.batch_size(problem, 40, False) == 64
+    assert (compilation.batch_size(problem, 40, False), compilation.batch_size(problem, 40, True)) == (64, 32)
     long = compilation.batch_size(problem, 10**6, False)
     assert 1 <= long < 8 and long * 8 * problem.numbers(10**6) <= compilation.MEMORY
     assert compilation.batch_size(problem, 10**4, True) < compilation.batch_size(problem, 10**4, False)
