@@ -25,8 +25,8 @@ from smajax.numerics.lowered_modules import add_call, add_function, blocks_of, c
 
 # Repeated operations for each number of a value from which the value is stored. Chosen by trial.
 REPEATED_OPERATIONS = 12
-# The same for values of so many numbers that they are stored as vectors, such as those of a batch.
-REPEATED_IN_VECTORS, VECTORS = 4, 16
+# The same for values of so many numbers, such as those of a batch of designs.
+REPEATED_IN_BATCH, BATCH = 4, 64
 # Operations that only move numbers.
 _MOVES = {
     "broadcast_in_dim",
@@ -128,7 +128,7 @@ class _Storage:
         if not size or not isinstance(value.type.element_type, ir.F64Type):
             return
         used = sum(_size(use.owner.results[0]) if _kind(use.owner) in _SELECTIONS else size for use in value.uses)
-        least = REPEATED_IN_VECTORS if size >= VECTORS else REPEATED_OPERATIONS
+        least = REPEATED_IN_BATCH if size >= BATCH else REPEATED_OPERATIONS
         if costs.get(value, 0.0) * (used - size) <= least * size:
             return
         with following.location, ir.InsertionPoint(following):
