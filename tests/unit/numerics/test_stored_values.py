@@ -79,6 +79,15 @@ def test_what_is_used_once_or_takes_few_operations_is_not_stored():
     assert not stored(steps(lambda state, row: jnp.sum(WEIGHTS * (2.0 * state)[None], axis=1) + row), START)
 
 
+def test_a_batch_stores_what_takes_fewer_operations():
+    def advance(state, row):
+        value = many_operations(state, 3)
+        return jnp.sin(value) * jnp.cos(value) + row
+
+    assert not stored(steps(advance), START)
+    assert stored(steps(advance), jnp.linspace(0.0, 1.0, 64))
+
+
 def test_what_does_not_change_in_the_loop_is_not_stored():
     def function(factor, start):
         return steps(lambda state, row: jnp.sum(WEIGHTS * many_operations(factor)[None], axis=1) * state + row)(start)
