@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smajax.errors import InputError
-from smajax.numerics.ensemble import evaluate_members
+from smajax.numerics.ensemble import call_groups_on_cores, join_batches, member_batches, share_among_cores
 from smajax.sweeps import compilation
 from smajax.sweeps.problem import CODES, AbstractSweepProblem
 from smajax.sweeps.table import read_table, write_table
@@ -99,6 +99,15 @@ def evaluate_designs(
         Columns by name, shape ``(designs,)`` each: metrics in internal units, their derivatives
         (``derivative_column``), and ``code``, the name of the ``SimulationStatus``.
     """
+    batches = _batches(problem, designs, steps, gradients)
+    parts = share_among_cores(lambda batch: batch(), batches, workers=workers, new_program=new_program)
+    return _columns(parts)
+
+
+def _batches(
+    problem: AbstractSweepProblem, designs: Float[np.ndarray, "designs axes"], steps: int, gradients: bool
+) -> list[Callable[[], dict[str, np.ndarray]]]:
+    """Return functions that simulate a batch of the designs each."""
     size = compilation.batch_size(problem, steps, gradients)
     if compilation.on_accelerator():  # few designs are not padded to the accelerator's large batch
         size = min(size, 2 ** math.ceil(math.log2(max(1, len(designs)))))
@@ -116,7 +125,12 @@ def evaluate_designs(
             columns |= {derivative_column(n, axis): table[:, k] for k, axis in enumerate(problem.names)}
         return columns | {"code": codes}
 
-    columns = evaluate_members(run_batch, designs, size, workers=workers, new_program=new_program)
+    return member_batches(run_batch, designs, size)
+
+
+def _columns(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return the columns of all batches, with codes by name."""
+    columns = join_batches(parts)
     return columns | {"code": np.asarray(CODES)[columns["code"]]}
 
 
@@ -222,7 +236,8 @@ def group_chunks(problem: AbstractSweepProblem, chunks: Sequence[Chunk], gradien
 def submit_locally(problem: AbstractSweepProblem, gradients: bool) -> Submit:
     """Return a function that simulates chunks in this process.
 
-    The cores share the batches of a chunk; on an accelerator a batch contains as many chunks as fit into it.
+    The cores share the batches of a chunk, and begin those of the next one; on an accelerator a batch contains as many
+    chunks as fit into it.
 
     Args:
         problem: Maps a design to its metrics.
@@ -230,18 +245,14 @@ def submit_locally(problem: AbstractSweepProblem, gradients: bool) -> Submit:
     """
 
     def submit(chunks: Sequence[Chunk]) -> Iterator[FinishedChunks]:
-        compiled: set[int] = set()
-        for group in group_chunks(problem, chunks, gradients):
-            steps = group[0].steps
-            results = evaluate_designs(
-                problem,
-                np.concatenate([chunk.designs for chunk in group]),
-                steps,
-                gradients=gradients,
-                workers=compilation.parallel_batches(),
-                new_program=steps not in compiled,
-            )
-            compiled.add(steps)
+        groups = group_chunks(problem, chunks, gradients)
+        batches = (
+            _batches(problem, np.concatenate([chunk.designs for chunk in group]), group[0].steps, gradients)
+            for group in groups
+        )
+        workers = compilation.parallel_batches()
+        for group, parts in zip(groups, call_groups_on_cores(batches, workers=workers), strict=True):
+            results = _columns(parts)
             ends = np.cumsum([len(chunk.rows) for chunk in group])
             yield [
                 (chunk, {n: v[end - len(chunk.rows) : end] for n, v in results.items()})

@@ -2,13 +2,14 @@
 
 import threading
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smajax.numerics.ensemble import evaluate_members, share_among_cores
+from smajax.numerics.ensemble import call_groups_on_cores, evaluate_members, share_among_cores
 
 
 @pytest.mark.parametrize("workers", [1, 3, None])
@@ -54,3 +55,38 @@ def test_an_error_of_a_task_is_raised():
 
     with pytest.raises(ValueError, match="third"):
         share_among_cores(task, range(4), workers=2)
+
+
+@pytest.mark.parametrize("workers", [1, 3, None])
+def test_groups_have_their_results_in_order(workers):
+    groups = [[partial(pow, base, power) for power in range(count)] for base, count in ((2, 5), (3, 0), (5, 2))]
+    results = list(call_groups_on_cores(groups, workers=workers))
+    assert results == [[1, 2, 4, 8, 16], [], [1, 5]]
+
+
+def test_a_group_begins_while_the_one_before_it_runs_and_no_further_one():
+    taken, begun = [], threading.Event()
+
+    def groups():
+        for number in range(4):
+            taken.append(number)
+            yield [begun.set] if number else [lambda: begun.wait(10.0)]
+
+    results = call_groups_on_cores(groups(), workers=2)
+    assert next(results) == [True], "the first group ends once the second one has begun"
+    assert taken == [0, 1]
+    results.close()
+
+
+def test_an_error_of_a_group_is_raised_and_later_functions_are_not_called():
+    called, go_on = [], threading.Event()
+
+    def fail():
+        raise ValueError("wrong")
+
+    groups = [[fail], [lambda: go_on.wait(10.0), lambda: called.append(1)]]
+    with pytest.raises(ValueError, match="wrong"):
+        list(call_groups_on_cores(groups, workers=1))
+    go_on.set()
+    time.sleep(0.1)
+    assert called == []
