@@ -23,9 +23,9 @@ import numpy as np
 
 from smajax.api.sweep import sweep
 from smajax.files.rig_file import parse_rig
+from smajax.numerics.ensemble import parallel_batches
 from smajax.report.shown_values import format_value
 from smajax.sweeps.chunks import evaluate_designs, split_into_chunks
-from smajax.sweeps.compilation import parallel_batches
 from smajax.sweeps.design_input import design_input
 from smajax.sweeps.margins import HIGHEST, LOWEST
 from smajax.sweeps.pareto import feasible_mask

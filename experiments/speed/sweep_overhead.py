@@ -9,8 +9,10 @@ the derivatives of the metrics in four parameters. Compilation is left out.
 
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
@@ -95,8 +97,13 @@ def sweep_row(count: int, gradients: bool, repeats: int) -> tuple[Row, float]:
     return Row(what, f">= {100 * SHARE:g} %", f"{100 * share:.0f} % ({rates})", share >= SHARE, seconds), each
 
 
-def programs(file: Path, gradients: bool):
-    """Return a function that runs a compiled program on a batch of designs, and all batches of a sweep."""
+def programs(file: Path, gradients: bool) -> tuple[Callable[[tuple[jax.Array, int]], Any], list[tuple[jax.Array, int]]]:
+    """Return a function that runs the compiled program of a sweep on a batch of designs, and all batches.
+
+    Args:
+        file: The sweep file.
+        gradients: Whether derivatives are computed.
+    """
     read = read_sweep(file)
     problem, batches = read.problem(), []
     program = compilation.differentiate_batch if gradients else compilation.evaluate_batch

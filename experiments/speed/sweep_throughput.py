@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 
+from smajax.numerics.ensemble import parallel_batches
 from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.numerics.process import count_cores
 from smajax.sweeps import chunks, compilation
@@ -206,9 +207,7 @@ def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
     say("compiling")
     checked = designs[:CHECKED]
     start = time.perf_counter()
-    metrics = chunks.evaluate_designs(
-        problem, checked, parts[0].steps, workers=compilation.parallel_batches(), new_program=True
-    )
+    metrics = chunks.evaluate_designs(problem, checked, parts[0].steps, workers=parallel_batches(), new_program=True)
     compiling = time.perf_counter() - start
     warm(problem, groups)
     truth = loop.strokes(checked, 64)
@@ -366,7 +365,7 @@ def refinement_row(sweep, parts, best, count: int) -> Row:
     problem = sweep.problem()
     designs = sweep.designs()[:CHECKED]
     steps = int(max(part.steps for part in parts))
-    metrics = chunks.evaluate_designs(problem, designs, steps, workers=compilation.parallel_batches())
+    metrics = chunks.evaluate_designs(problem, designs, steps, workers=parallel_batches())
     feasible = np.flatnonzero(metrics["peak_temperature"] <= MAX_TEMPERATURE)
     shares = np.column_stack([axis.share(designs[:, k]) for k, axis in enumerate(sweep.axes)])
     order = feasible[np.argsort(-metrics["stroke"][feasible])]

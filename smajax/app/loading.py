@@ -54,7 +54,7 @@ def end_process(code: object) -> None:
             with contextlib.suppress(OSError, ValueError):  # closed
                 stream.flush()
         os._exit(_number_of(code))
-    gc.freeze()  # otherwise Python searches all objects for cycles before it ends, which takes 0.3 s once JAX is loaded
+    gc.freeze()  # otherwise Python searches all objects for cycles before it ends, which takes long with those of JAX
     sys.exit(code)  # pyright: ignore[reportArgumentType]
 
 

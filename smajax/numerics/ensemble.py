@@ -39,7 +39,7 @@ def share_among_cores(
     Returns:
         The results in the order of the tasks.
     """
-    workers = _threads(workers)
+    workers = parallel_batches() if workers is None else workers
     alone = 1 if new_program else 0
     if min(workers, len(tasks) - alone) <= 1:
         return [function(task) for task in tasks]
@@ -65,7 +65,7 @@ def call_groups_on_cores(
     Yields:
         The results of each group, in the order of its functions.
     """
-    pool = ThreadPoolExecutor(_threads(workers))
+    pool = ThreadPoolExecutor(parallel_batches() if workers is None else workers)
     try:
         waiting: deque[list[Future[Result]]] = deque()
         for group in groups:
@@ -78,9 +78,8 @@ def call_groups_on_cores(
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _threads(workers: int | None) -> int:
-    if workers is not None:
-        return workers
+def parallel_batches() -> int:
+    """Return how many batches run at once: one per core, or a single one on an accelerator."""
     return count_cores() if jax.default_backend() == "cpu" else 1
 
 

@@ -250,8 +250,7 @@ def submit_locally(problem: AbstractSweepProblem, gradients: bool) -> Submit:
             _batches(problem, np.concatenate([chunk.designs for chunk in group]), group[0].steps, gradients)
             for group in groups
         )
-        workers = compilation.parallel_batches()
-        for group, parts in zip(groups, call_groups_on_cores(batches, workers=workers), strict=True):
+        for group, parts in zip(groups, call_groups_on_cores(batches), strict=True):
             results = _columns(parts)
             ends = np.cumsum([len(chunk.rows) for chunk in group])
             yield [

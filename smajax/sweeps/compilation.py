@@ -22,7 +22,6 @@ from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics.jax_setup import EMITTER_OPTIONS
-from smajax.numerics.process import count_cores
 from smajax.numerics.stored_programs import stored
 from smajax.sweeps.problem import AbstractSweepProblem
 
@@ -69,11 +68,6 @@ differentiate_batch: Any = stored(_differentiate_batch, compiler_options=EMITTER
 def on_accelerator() -> bool:
     """Return whether designs are simulated on an accelerator, whose batches may contain several chunks."""
     return jax.default_backend() != "cpu"
-
-
-def parallel_batches() -> int:
-    """Return how many batches run at once: one per core, or a single one on an accelerator."""
-    return 1 if on_accelerator() else count_cores()
 
 
 def batch_size(problem: AbstractSweepProblem, steps: int, gradients: bool) -> int:

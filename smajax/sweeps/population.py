@@ -13,10 +13,10 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from smajax.numerics.ensemble import parallel_batches
 from smajax.numerics.evolution import evolve_in_unit_box
 from smajax.numerics.jax_setup import on_cpu
 from smajax.sweeps.chunks import evaluate_designs
-from smajax.sweeps.compilation import parallel_batches
 from smajax.sweeps.constraints import MARGIN, safe_bounds
 from smajax.sweeps.pareto import constraint_violation
 from smajax.sweeps.problem import AbstractSweepProblem

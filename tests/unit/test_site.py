@@ -267,7 +267,7 @@ def test_equations_of_a_formula_may_stand_on_several_lines():
 
 
 def test_a_browser_draws_each_formula_of_the_pages(tmp_path):
-    """With the files of MathJax that the site has, all but one that is wrong; a page without formulas loads no file."""
+    """With the files of MathJax that the site has. One formula is wrong on purpose. A page without formulas loads none."""
     reader = pytest.importorskip("markdown", reason="the optional dependencies docs are not installed")
     pytest.importorskip("pymdownx", reason="the optional dependencies docs are not installed")
     extensions = {"tables": {}, "pymdownx.superfences": {}, "pymdownx.arithmatex": {"generic": True}}

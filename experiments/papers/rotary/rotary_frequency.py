@@ -23,7 +23,8 @@ import numpy as np
 
 from smajax import parameters
 from smajax.files.rig_file import parse_rig
-from smajax.sweeps import chunks, compilation
+from smajax.numerics.ensemble import parallel_batches
+from smajax.sweeps import chunks
 from smajax.sweeps.excitation import Excitation
 from smajax.sweeps.rig_problem import RigSweepProblem
 
@@ -97,9 +98,9 @@ def swing(
     )
     steps = max(MIN_STEPS, round(1.0 / frequency / step))
     return np.degrees(
-        chunks.evaluate_designs(
-            problem, currents[:, None], steps, workers=compilation.parallel_batches(), new_program=True
-        )["stroke"]
+        chunks.evaluate_designs(problem, currents[:, None], steps, workers=parallel_batches(), new_program=True)[
+            "stroke"
+        ]
     )
 
 

@@ -414,6 +414,10 @@ def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
         room = 1e-9 * (high - low)
         assert np.all((value >= low - room) & (value <= high + room))
     assert any(name.startswith(("share", "beyond")) for name in result.at_bound)
+    law, time = result.model, np.linspace(0.0, 1.0, 11)
+    assert isinstance(law, Switched)
+    recovered = law.share * np.exp(-time / law.fast) + (1.0 - law.share) * np.exp(-time / law.slow)
+    np.testing.assert_allclose(np.diff(np.log(recovered), 2), 0.0, atol=1e-3)  # a single exponential
 
 
 @pytest.mark.slow
