@@ -5,6 +5,7 @@ JAX reports the duration of each tracing, lowering and compilation, and each pro
 command shows.
 """
 
+import compileall
 import itertools
 import json
 import os
@@ -119,6 +120,11 @@ class ProcessTimes:
         parts = ", ".join(f"{kind} {self.seconds[kind]:.1f}" for kind in KINDS if self.seconds[kind] >= 0.05)
         counts = f"; {self.programs} programs, {self.cached} of them from the cache" if self.programs else ""
         return f"{self.wall:.2f} s: {parts}{counts}; {self.peak / 2**30:.2f} GiB"
+
+
+def compile_package() -> None:
+    """Compile the sources of smajax to bytecode as an installation does, so that no command that is timed does it."""
+    compileall.compile_dir(str(ROOT / "smajax"), quiet=1)
 
 
 def measure(words: Sequence[str], folder: Path, cache: Path) -> ProcessTimes:

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from experiments.common.base import ROOT, Row, exponent, medians, read_shipped, say
+from experiments.common.process_phases import compile_package
 
 import jax
 import jax.numpy as jnp
@@ -119,6 +120,7 @@ def command_row(quick: bool) -> Row:
     """Time the whole command in its own process, with an empty compilation cache and with a warm one."""
     rig = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
     cold, warm = [], []
+    compile_package()
     for _ in range(1 if quick else 5):
         with tempfile.TemporaryDirectory() as folder:
             for times in (cold, warm):

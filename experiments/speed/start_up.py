@@ -19,7 +19,7 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments, finish, say
-from experiments.common.process_phases import ProcessTimes, measure, median_of
+from experiments.common.process_phases import ProcessTimes, compile_package, measure, median_of
 
 # Runs of a command that takes less than two seconds.
 REPEATS = 5
@@ -141,6 +141,7 @@ def main() -> None:
     options = arguments(__doc__, more={"--repeats": {"type": int, "default": 1, "help": "runs with a full cache"}})
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
+        compile_package()
         write_files(folder)
         cases = [case for case in CASES if case.is_short or not options.quick]
         rows = [import_row(), *(line for case in cases for line in rows_of(case, folder, options.repeats))]
