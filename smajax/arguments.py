@@ -14,6 +14,8 @@ from smajax.errors import InputError, shortened
 MAX_SEED = 2**32 - 1
 # Largest number of starting points. Chosen by trial.
 MAX_STARTS = 10_000
+# Electrical inputs between the samples of a recording.
+INTERPOLATIONS = ("hold", "linear")
 
 
 def check_type(function: str, argument: str, value: Any, kind: type[Any] | UnionType, takes: str) -> None:
@@ -123,3 +125,16 @@ def check_duration(function: str, argument: str, value: Any) -> None:
     if number is None or not 0.0 < number < math.inf:
         shown = shortened(repr(value)) if number is None else f"{number:g} s"
         raise InputError(f"{function}: {argument} = {shown} is not possible: give a time above 0 s")
+
+
+def check_interpolation(interpolation: Any) -> None:
+    """Check that inputs between samples are held or linear.
+
+    Args:
+        interpolation: The name.
+
+    Raises:
+        InputError: If it is another one.
+    """
+    if interpolation not in INTERPOLATIONS:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")

@@ -1,19 +1,19 @@
-"""What merging equal operations and storing repeated values in compiled loops buys.
+"""What merging equal operations, storing repeated values and loops over one axis buy in compiled loops.
 
     python experiments/speed/compiled_loops.py [--quick] [--json FILE] [--out DIR]
 
 The shipped training recording of the wire that lifts a weight is simulated, and differentiated by all free parameters,
-as the package compiles it, without ``smajax.numerics.common_subexpressions``, and without
-``smajax.numerics.stored_values``: as a wire of one temperature and one grain, with nine cells, with six grains, with
-both, and as a batch of designs of one temperature and one grain. Times of compiled programs are the shortest of several
-that alternate, in seconds of processor time; those of compilation, which include tracing, are of one call without any
-cache.
+as the package compiles it, without ``smajax.numerics.common_subexpressions``, without
+``smajax.numerics.stored_values``, and, where there are grains, without one axis for all grains of all cells: as a wire
+of one temperature and one grain, with nine cells, with six grains, with both, and as a batch of designs of one
+temperature and one grain. Times of compiled programs are the shortest of several that alternate, in seconds of
+processor time; those of compilation, which include tracing, are of one call without any cache.
 """
 
 import contextlib
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,8 @@ LIMIT = 0.05
 DESIGNS = 64
 # Relative difference between the designs of the batch.
 SPREAD = 0.01
-BOTH, SEPARATE, REPEATED = "as the package does", "equal operations separate", "values repeated"
+PACKAGE, SEPARATE, REPEATED = "as the package does", "equal operations separate", "values repeated"
+NESTED = "an axis each for grains, cells and wires"
 
 
 def same(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,9 +52,10 @@ def same(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 PATCHES = {
-    BOTH: (),
+    PACKAGE: (),
     SEPARATE: ((time_stepping, "merge_equal_operations", same), (sensitivities, "merge_equal_operations", same)),
     REPEATED: ((loop_kernels, "store_repeated_values", lambda module, loop: None),),
+    NESTED: ((Plant, "_flat_over_grains", lambda plant, values: jnp.broadcast_to(values, plant.fractions_shape)),),
 }
 
 
@@ -64,36 +66,40 @@ def seconds(function: Callable[[], Any]) -> float:
     return time.process_time() - begin
 
 
-def compare(name: str, function: Callable[[jax.Array], jax.Array], at: jax.Array, repeats: int) -> Row:
-    """Compile and run a function in each way.
+def compare(
+    name: str, function: Callable[[jax.Array], jax.Array], at: jax.Array, repeats: int, ways: Sequence[str]
+) -> Row:
+    """Compile and run a function in several ways.
 
     Args:
         name: What it computes.
         function: Function of the free parameters.
         at: Their values.
         repeats: Number of runs in each way.
+        ways: Keys of ``PATCHES``.
     """
     say(f"{name} ...")
     programs, compilation = {}, {}
-    for way, patches in PATCHES.items():
+    for way in ways:
         jax.clear_caches()
         # A new function, so that JAX does not take the program of another way for it.
         program = programs[way] = jit_with_kernels(lambda values: function(values))
         with contextlib.ExitStack() as stack:
-            for patch in patches:
+            for patch in PATCHES[way]:
                 stack.enter_context(mock.patch.object(*patch))
             compilation[way] = seconds(lambda p=program: p(at))
     times = [{way: seconds(lambda p=p: p(at)) for way, p in programs.items()} for _ in range(repeats)]
     run = {way: min(each[way] for each in times) for way in programs}
     ratios = {
-        way: {"run": run[BOTH] / run[way], "compilation": compilation[BOTH] / compilation[way]}
-        for way in (SEPARATE, REPEATED)
+        way: {"run": run[PACKAGE] / run[way], "compilation": compilation[PACKAGE] / compilation[way]}
+        for way in ways
+        if way != PACKAGE
     }
     compared = (
         f"{ratio['run']:.2f} times that with {way} (compiled in {ratio['compilation']:.2f} times)"
         for way, ratio in ratios.items()
     )
-    text = f"{1e3 * run[BOTH]:.2f} ms, compiled in {compilation[BOTH]:.1f} s: {', '.join(compared)}"
+    text = f"{1e3 * run[PACKAGE]:.2f} ms, compiled in {compilation[PACKAGE]:.1f} s: {', '.join(compared)}"
     numbers = {"run": run, "compilation": compilation, "ratios": ratios}
     met = all(ratio["run"] < 1.0 + LIMIT for ratio in ratios.values())
     return Row(name, f"not slower by {100 * LIMIT:.0f} %", text, met, numbers)
@@ -121,10 +127,11 @@ def main() -> None:
             changed = parameters.replace(plant, dict(zip(rig.fit.names, values, strict=True)))
             return simulate_channels(changed, inputs, ("displacement",))[0]["displacement"]
 
+        ways = [way for way in PATCHES if way != NESTED or plant.grains is not None]
         for kind, function in (("simulation", response), ("derivatives", jax.jacfwd(response))):
-            rows.append(compare(f"{what}, {kind}", function, at, repeats))
+            rows.append(compare(f"{what}, {kind}", function, at, repeats, ways))
         if plant is rig.plant:
-            rows.append(compare(f"{what}, {DESIGNS} designs", jax.vmap(response), designs, repeats))
+            rows.append(compare(f"{what}, {DESIGNS} designs", jax.vmap(response), designs, repeats, ways))
     finish(rows, options)
 
 

@@ -4,12 +4,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field
 
-from smajax.arguments import MAX_SEED, MAX_STARTS
+from smajax.arguments import INTERPOLATIONS, MAX_SEED, MAX_STARTS
 from smajax.files.rig_classes import rig_classes
 from smajax.files.toml import STRICT
 from smajax.files.validators import one_of
 
-INTERPOLATIONS = ("hold", "linear")
 # The choice of ``rig.control`` for a wire that something else heats, such as water, an oven or a heat gun.
 PRESCRIBED_TEMPERATURE = "temperature"
 

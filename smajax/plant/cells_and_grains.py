@@ -7,7 +7,7 @@ not. For an effect on heat or material each cell is a wire; all other effects ge
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,11 +22,23 @@ from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism
 from smajax.plant.wire import AbstractWire, Environment
 
-Prepared = TypeVar("Prepared", bound="CellsAndGrains")
 # Key of the temperature of the clamps in a state's memory.
 CLAMP = "clamp"
 # Axis of the cells in the entries of a ``WireState``.
 _CELL_AXES = WireState(None, 0, 0, None, None, 0, None, None)  # pyright: ignore[reportArgumentType]
+
+
+class PreparedParts(eqx.Module):
+    """What the equations need of cells and grains that does not change over a simulation.
+
+    Attributes:
+        cell_geometry: What follows from the cells and the other parts; ``None`` without cells.
+        grain_law: The law of all grains of all cells, with one entry in each array for each of them
+            (``CellsAndGrains._flat_over_grains``); ``None`` without grains, or where it changes from step to step.
+    """
+
+    cell_geometry: CellGeometry | None
+    grain_law: AbstractMaterial | None
 
 
 class CellsAndGrains(eqx.Module):
@@ -35,12 +47,12 @@ class CellsAndGrains(eqx.Module):
     Attributes:
         cells: Cells along each wire; by default none, so that a wire has one temperature.
         grains: Grains in each cell; by default none, so that all of it follows the law at the same temperatures.
-        cell_geometry: What follows from the cells and the other parts, if it was computed before (``prepared``).
+        prepared_parts: What follows from the parameters, if it was computed before (``prepared``).
     """
 
     cells: Cells | None = eqx.field(default=None, kw_only=True)
     grains: Grains | None = eqx.field(default=None, kw_only=True)
-    cell_geometry: CellGeometry | None = eqx.field(default=None, kw_only=True)
+    prepared_parts: PreparedParts | None = eqx.field(default=None, kw_only=True)
     wire: eqx.AbstractVar[AbstractWire]
     environment: eqx.AbstractVar[Environment]
     heat: eqx.AbstractVar[AbstractHeat]
@@ -58,22 +70,19 @@ class CellsAndGrains(eqx.Module):
         return math.prod(self.temperature_shape)
 
     @property
+    def fractions_shape(self) -> tuple[int, ...]:
+        """Shape of the fractions of a state: ``(wires,)``, with an axis for the cells and one for the grains before."""
+        grains = () if self.grains is None else (self.grains.count,)
+        return (*grains, *self.temperature_shape)
+
+    @property
     def _geometry(self) -> CellGeometry:
         """What the equations need of the cells; only with cells."""
         assert self.cells is not None
-        if self.cell_geometry is not None:
-            return self.cell_geometry
+        if self.prepared_parts is not None and self.prepared_parts.cell_geometry is not None:
+            return self.prepared_parts.cell_geometry
         grains = None if self.grains is None else self.grains.count
         return self.cells.geometry(self.wire, self.heat, self.environment, grains)
-
-    def prepared(self: Prepared) -> Prepared:
-        """Return the plant with the geometry of its cells, so that all steps of a simulation share it.
-
-        A prepared plant is for one simulation: its parameters may not be replaced.
-        """
-        if self.cells is None or self.cell_geometry is not None:
-            return self
-        return eqx.tree_at(lambda p: p.cell_geometry, self, self._geometry, is_leaf=lambda leaf: leaf is None)
 
     def _along_wire(self, values: Float[Array, "*cells wires"]) -> Float[Array, " wires"]:
         """The mean of a quantity of the cells over the length of each wire."""
@@ -101,16 +110,21 @@ class CellsAndGrains(eqx.Module):
             accumulated_transformation=self._along_wire(wire_state.accumulated_transformation),
         )
 
-    def _each_grain(
-        self, function: Callable[[AbstractMaterial, Any], Fractions], material: AbstractMaterial, values: Any
-    ) -> Fractions:
-        """Call a function of the law and of further values, with an axis of grains in front, for each grain."""
-        if self.grains is None:
-            return function(material, values)
-        grains = self.grains
-        return jax.vmap(lambda quantiles, value: function(grains.material_of(material, quantiles), value))(
-            jnp.asarray(grains.quantiles), values
-        )
+    def _flat_over_grains(self, values: Float[Array, "..."]) -> Float[Array, " all_grains"]:
+        """A quantity of the grains, of the cells or of the wires for all grains of all cells, along one axis.
+
+        A compiled loop over one axis is faster than nested ones over a few grains, cells and wires
+        (experiments/speed/compiled_loops.py).
+        """
+        return jnp.broadcast_to(values, self.fractions_shape).ravel()
+
+    def _law_of_grains(self, material: AbstractMaterial) -> AbstractMaterial:
+        """The law of all grains of all cells, along one axis like ``_flat_over_grains``, from that of the wire."""
+        assert self.grains is not None
+        flat = jax.tree.map(lambda leaf: self._flat_over_grains(leaf) if jnp.ndim(leaf) else leaf, material)
+        per_grain = jnp.asarray(self.grains.quantiles).T.reshape(2, -1, *(1,) * len(self.temperature_shape))
+        first, other = map(self._flat_over_grains, per_grain)
+        return self.grains.material_of(flat, (first, other))
 
     def _grain_temperatures(self, temperature: Float[Array, "*cells wires"]) -> Float[Array, "*grains wires"]:
         """The temperatures of all grains, which are spread over the lengths of the cells."""

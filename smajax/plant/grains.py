@@ -94,12 +94,14 @@ class Grains(CheckedModule):
         other = other - np.mean(other * quantiles) * quantiles
         return np.stack([quantiles, other / max(math.sqrt(np.mean(other**2)), _ROUNDING)], axis=1)
 
-    def material_of(self, material: AbstractMaterial, quantiles: Float[Array, "2"]) -> AbstractMaterial:
-        """Return the law of one grain.
+    def material_of(
+        self, material: AbstractMaterial, quantiles: tuple[Float[Array, "*grains"], Float[Array, "*grains"]]
+    ) -> AbstractMaterial:
+        """Return the law of one grain, or of several as one law with arrays.
 
         Args:
             material: The law of the whole wire.
-            quantiles: Quantiles of the grain, z_i and n_i.
+            quantiles: Quantiles z_i and n_i of the grain or the grains.
         """
         first, other = quantiles
         second = jnp.cos(self.correlation_angle) * first + jnp.sin(self.correlation_angle) * other

@@ -19,7 +19,7 @@ from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect
 from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.implicit_step import implicit_step
-from smajax.plant.materials.base import Fractions
+from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.state import State
 from smajax.plant.step_solver import StepSolver, newton_corrected
 
@@ -108,16 +108,20 @@ class Plant(StepSolver):
 
     def _initial_fractions(self, temperature: Float[Array, "*cells wires"], prescribed: dict[str, Any]) -> Fractions:
         """The fractions of all grains as installed, or as ``initial`` gives them."""
-        grains = () if self.grains is None else (self.grains.count,)
-        shape = (*grains, *temperature.shape)
+        shape = self.fractions_shape
         uniform, context = temperature.reshape(-1, self.mechanism.wires)[0], self._mechanism_context()
-        installed = self._each_grain(
-            lambda law, _: self.mechanism.fractions(law, uniform, prescribed, context),
-            self.effective_material,
-            jnp.zeros(grains),
-        )
-        # All cells start alike.
-        installed = Fractions(*(f.reshape(*grains, *(1,) * (temperature.ndim - 1), -1) for f in installed))
+
+        def installed_with(law: AbstractMaterial) -> Fractions:
+            return self.mechanism.fractions(law, uniform, prescribed, context)
+
+        grains, law = self.grains, self.effective_material
+        if grains is None:
+            installed = installed_with(law)
+        else:
+            quantiles = tuple(jnp.asarray(grains.quantiles.T))
+            installed = jax.vmap(lambda *each: installed_with(grains.material_of(law, each)))(*quantiles)
+            # All cells start alike.
+            installed = Fractions(*(f.reshape(shape[0], *(1,) * (len(shape) - 2), -1) for f in installed))
         installed = Fractions(*(jnp.broadcast_to(f, shape) for f in installed))
         detwinned = (
             installed.detwinned if self.initial.detwinned is None else jnp.broadcast_to(self.initial.detwinned, shape)

@@ -7,16 +7,17 @@ effects.
 
 import functools
 from collections.abc import Collection
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.arguments import check_interpolation
 from smajax.channels import driving_signals
 from smajax.errors import InputError
-from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains
+from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains, PreparedParts
 from smajax.plant.drive import AbstractDrive
 from smajax.plant.effects.base import (
     AbstractEffect,
@@ -36,14 +37,12 @@ from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
 
-INTERPOLATIONS = ("hold", "linear")
+Prepared = TypeVar("Prepared", bound="PlantStages")
 # Recorded channels of the surroundings. A ``signal`` may have the first or both of them after the channels of
 # ``PlantStages.signals``; NaN stands for one that is not recorded.
 SURROUNDINGS = ("ambient", "fan")
-# Key of the accumulated transformation in a state's memory. Its alphabetical position determines the layout of flat
-# states.
+# Key of the accumulated transformation in a state's memory; its alphabetical position orders the layout of flat states.
 _ACCUMULATED = "transformation"
-
 
 # Base class of each stage, and what to give in words.
 _STAGE_CLASSES: dict[str, tuple[type[eqx.Module], str]] = {
@@ -57,19 +56,6 @@ _STAGE_CLASSES: dict[str, tuple[type[eqx.Module], str]] = {
     "sensor": (Sensor, "a Sensor"),
     "effects": (AbstractEffect, "instances of classes of smajax.effects, such as (LatentHeat(strength=1e8),)"),
 }
-
-
-def check_interpolation(interpolation: Any) -> None:
-    """Check that inputs between samples are held or linear.
-
-    Args:
-        interpolation: The name.
-
-    Raises:
-        InputError: If it is another one.
-    """
-    if interpolation not in INTERPOLATIONS:
-        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
 
 
 class PlantStages(CellsAndGrains):
@@ -305,22 +291,21 @@ class PlantStages(CellsAndGrains):
         stress: Float[Array, " wires"],
     ) -> Fractions:
         """``_evolve_fractions`` with the temperature of each grain at the end."""
-        context = self._stage_context()
-        material, shift = context.material, None
+        context, shift = self._stage_context(), None
         for e in self._effects_of(MaterialEffect):
-            material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
             own = checked_result(e, "shift", self._each_cell(e.shift, first, context), first.temperature.shape, "wires")
             shift = own if shift is None else shift + own
-            if type(e).reverse_shift is not MaterialEffect.reverse_shift:
-                material = self._with_reverse_shift(e, material, first, context)
         temperatures = self._grain_temperatures(first.temperature), temperature
         if shift is not None:
             shift = self._for_grains(shift)
             temperatures = temperatures[0] - shift, temperatures[1] - shift
-        stresses = self._per_cell(first.stress), self._per_cell(stress)
-        evolved = self._each_grain(
-            lambda law, values: law.evolve(values[0], values[1], stresses), material, (fractions, temperatures)
-        )
+        values = fractions, temperatures, (self._per_cell(first.stress), self._per_cell(stress))
+        law = self._law_in_step(first)
+        if self.grains is None:
+            evolved = law.evolve(*values)
+        else:
+            evolved = law.evolve(*jax.tree.map(self._flat_over_grains, values))
+            evolved = Fractions(*(f.reshape(self.fractions_shape) for f in evolved))
         for e in self._effects_of(MaterialEffect):
             modify = functools.partial(self._each_cell, e.modify_fractions)
             changed = (modify if self.grains is None else jax.vmap(modify))(fractions, evolved)
@@ -330,13 +315,33 @@ class PlantStages(CellsAndGrains):
             evolved = changed
         return evolved
 
-    def _with_reverse_shift(
-        self, effect: MaterialEffect, material: AbstractMaterial, first: WireState, context: StageContext
-    ) -> AbstractMaterial:
-        """The material law with austenite start and finish shifted by an effect."""
-        own = self._each_cell(effect.reverse_shift, first, context)
-        own = checked_result(effect, "reverse_shift", own, first.temperature.shape, "wires")
-        return eqx.tree_at(lambda law: law.austenite_shift, material, replace_fn=lambda shift: shift + own)
+    def _law_in_step(self, first: WireState | None) -> AbstractMaterial:
+        """The law of a step that begins at ``first``, with what the effects change; of all grains, if there are any.
+
+        Without an effect that shifts the reverse transformation it is the same in every step, and needs no ``first``.
+        """
+        if self.prepared_parts is not None and self.prepared_parts.grain_law is not None:
+            return self.prepared_parts.grain_law
+        context, material = self._stage_context(), self.effective_material
+        for e in self._effects_of(MaterialEffect):
+            material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
+            if first is not None and _shifts_reverse(e):
+                own = self._each_cell(e.reverse_shift, first, context)
+                own = checked_result(e, "reverse_shift", own, first.temperature.shape, "wires")
+                material = eqx.tree_at(lambda law: law.austenite_shift, material, material.austenite_shift + own)
+        return material if self.grains is None else self._law_of_grains(material)
+
+    def prepared(self: Prepared) -> Prepared:
+        """Return the plant with what does not change over a simulation, so that all of its steps share that.
+
+        A prepared plant is for one simulation: its parameters may not be replaced.
+        """
+        if self.prepared_parts is not None or (self.cells is None and self.grains is None):
+            return self
+        is_constant = not any(map(_shifts_reverse, self._effects_of(MaterialEffect)))
+        law = self._law_in_step(None) if self.grains is not None and is_constant else None
+        parts = PreparedParts(None if self.cells is None else self._geometry, law)
+        return eqx.tree_at(lambda p: p.prepared_parts, self, parts, is_leaf=lambda leaf: leaf is None)
 
     # Heat.
 
@@ -388,3 +393,8 @@ class PlantStages(CellsAndGrains):
             ]
             stored = stored + (heats[0] - heats[1])
         return stored
+
+
+def _shifts_reverse(effect: MaterialEffect) -> bool:
+    """Whether an effect shifts the reverse transformation by the state at the start of a step."""
+    return type(effect).reverse_shift is not MaterialEffect.reverse_shift

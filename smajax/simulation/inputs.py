@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from smajax.arguments import check_duration, check_type
+from smajax.arguments import check_duration, check_interpolation, check_type
 from smajax.errors import InputError, suggestion
 from smajax.numerics.precision import require_double
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
-from smajax.plant.stages import SURROUNDINGS, check_interpolation
+from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
 from smajax.simulation.argument_checks import A_RECORDING, as_array, check_plant
 from smajax.simulation.step_size import default_step

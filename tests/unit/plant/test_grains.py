@@ -143,7 +143,7 @@ def test_the_cosine_of_the_angle_is_the_correlation_of_both_shifts():
     shifts = {}
     for angle in (0.0, 0.5 * np.pi, 2.0):
         grains = Grains(correlation_angle=jnp.asarray(angle), count=6)
-        laws = [grains.material_of(law, jnp.asarray(q)) for q in grains.quantiles]
+        laws = [grains.material_of(law, tuple(jnp.asarray(q))) for q in grains.quantiles]
         reverse, forward = (
             np.array([float(getattr(m, f"{p}_start")) for m in laws]) for p in ("austenite", "martensite")
         )
