@@ -29,6 +29,7 @@ from smajax.numerics.loop_kernels import jit_with_kernels
 from smajax.plant.cells import Cells
 from smajax.plant.grains import Grains
 from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs, discretise
 from smajax.simulation.run import simulate_channels
 
@@ -37,6 +38,9 @@ CONVERGED = 0.005
 # Largest cost of nine cells of six grains in a fit.
 LARGEST_COST = 10.0
 RECOMMENDED = (9, 6)
+# Parameters of the plants that simulate their own recordings, other than the start values, and their noise, m.
+TRUTH = {"heat.h0": 80.0, "material.max_transformation_strain": 0.044, "material.martensite_shift": 3.0}
+NOISE = 2e-5
 
 
 def with_structure(plant: Plant, cells: int, grains: int) -> Plant:
@@ -66,6 +70,14 @@ def shortest(function: Callable[[], Any], repeats: int) -> float:
     return min(times)
 
 
+def own_recording(plant: Plant, recording: Recording, interpolation: str) -> Recording:
+    """Return a recording of a plant with the parameters of ``TRUTH``, under the current of another recording."""
+    truth = displacement(parameters.replace(plant, TRUTH), discretise(plant, recording, interpolation=interpolation))
+    noise = NOISE * np.random.default_rng(0).standard_normal(len(truth))
+    channels = {"current": recording.channels["current"], "displacement": truth + noise}
+    return Recording.from_arrays("own", recording.time, channels)
+
+
 def convergence(plant: Plant, inputs: Inputs, quick: bool) -> list[Row]:
     """Errors over the numbers of cells and grains, each against a finer plant."""
     rows = []
@@ -88,9 +100,10 @@ def convergence(plant: Plant, inputs: Inputs, quick: bool) -> list[Row]:
     return rows
 
 
-def cost(rig: Any, recording: Any, quick: bool) -> Row:
-    """Processor times of a simulation, of its derivatives, and of a fit from one start."""
-    times: dict[str, list[float]] = {"simulation": [], "derivatives": [], "fit": []}
+def cost(rig: Any, recording: Recording, quick: bool) -> list[Row]:
+    """Processor times of a simulation, of its derivatives, and of two fits from one start."""
+    own, shipped = "fit of a recording of its own", "fit of the shipped recording"
+    times: dict[str, list[float]] = {"simulation": [], "derivatives": [], own: [], shipped: []}
     settings = replace(rig.fit, starts=1)
     for structure in ((1, 1), RECOMMENDED):
         say(f"cost of {structure[0]} cells of {structure[1]} grains ...")
@@ -105,14 +118,18 @@ def cost(rig: Any, recording: Any, quick: bool) -> Row:
         for what, function in (("simulation", response), ("derivatives", jax.jacfwd(response))):
             compiled = jit_with_kernels(function)
             times[what].append(shortest(lambda f=compiled, at=at: f(at), 3 if quick else 10))
-        times["fit"].append(
-            shortest(lambda p=plant: fit(p, [recording], settings, interpolation=rig.interpolation).cost, 1)
-        )
-    ratios = {what: pair[1] / pair[0] for what, pair in times.items()}
-    text = ", ".join(f"{what} {1e3 * times[what][0]:.1f} ms, times {ratio:.1f}" for what, ratio in ratios.items())
-    target = f"a fit at most {LARGEST_COST:g} times as long"
-    what = f"cost of {RECOMMENDED[0]} cells of {RECOMMENDED[1]} grains"
-    return Row(what, target, text, ratios["fit"] <= LARGEST_COST, {"times": times, "ratios": ratios})
+        for what, data in ((own, own_recording(plant, recording, rig.interpolation)), (shipped, recording)):
+            times[what].append(
+                shortest(lambda p=plant, d=data: fit(p, [d], settings, interpolation=rig.interpolation).cost, 1)
+            )
+    rows = []
+    for what, (one, many) in times.items():
+        ratio = many / one
+        target, met = ("-", None) if what != own else (f"at most times {LARGEST_COST:g}", ratio <= LARGEST_COST)
+        name = f"cost of {RECOMMENDED[0]} cells of {RECOMMENDED[1]} grains: {what}"
+        text = f"{1e3 * one:.1f} ms, times {ratio:.1f}"
+        rows.append(Row(name, target, text, met, {"times": [one, many], "ratio": ratio}))
+    return rows
 
 
 def main() -> None:
@@ -120,7 +137,7 @@ def main() -> None:
     options = arguments(__doc__)
     rig, recording = read_shipped("dead-weight")
     inputs = discretise(rig.plant, recording, interpolation=rig.interpolation)
-    finish([*convergence(rig.plant, inputs, options.quick), cost(rig, recording, options.quick)], options)
+    finish([*convergence(rig.plant, inputs, options.quick), *cost(rig, recording, options.quick)], options)
 
 
 if __name__ == "__main__":
