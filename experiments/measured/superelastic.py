@@ -59,7 +59,6 @@ EXCLUDED = {
     "encoder-gain": "the strain is prescribed",
     "encoder-drift": "the strain is prescribed",
     "sensor-lag": "the strain is prescribed",
-    "creep": "one rate, and the 40 degC loop was held for an unknown time",
     "ratcheting": "one cycle",
     "functional-fatigue": "one cycle",
     "transformation-shift": "one cycle",
