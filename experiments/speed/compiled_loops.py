@@ -4,10 +4,10 @@
 
 The shipped training recording of the wire that lifts a weight is simulated, and differentiated by all free parameters,
 as the package compiles it, without ``smajax.numerics.common_subexpressions``, without
-``smajax.numerics.stored_values``, and, where there are grains, without one axis for all grains of all cells: as a wire
-of one temperature and one grain, with nine cells, with six grains, with both, and as a batch of designs of one
-temperature and one grain. Times of compiled programs are the shortest of several that alternate, in seconds of
-processor time; those of compilation, which include tracing, are of one call without any cache.
+``smajax.numerics.stored_values``, and, where cells have grains, without one axis for all of them: as a wire of one
+temperature and one grain, with nine cells, with six grains, with both, and as a batch of designs of one temperature and
+one grain. Times of compiled programs are the shortest of several that alternate, in seconds of processor time; those of
+compilation, which include tracing, are of one call without any cache.
 """
 
 import contextlib
@@ -127,7 +127,7 @@ def main() -> None:
             changed = parameters.replace(plant, dict(zip(rig.fit.names, values, strict=True)))
             return simulate_channels(changed, inputs, ("displacement",))[0]["displacement"]
 
-        ways = [way for way in PATCHES if way != NESTED or plant.grains is not None]
+        ways = [way for way in PATCHES if way != NESTED or (plant.cells and plant.grains)]
         for kind, function in (("simulation", response), ("derivatives", jax.jacfwd(response))):
             rows.append(compare(f"{what}, {kind}", function, at, repeats, ways))
         if plant is rig.plant:

@@ -6,6 +6,8 @@ selection split, by more than chance, and each of them explains a large share of
 a candidate: the rig may have it, and its strength describes what it absorbs.
 """
 
+import math
+
 from smajax.diagnosis.acceptance import Rejection, RejectionCode
 from smajax.diagnosis.bootstrap import bootstrap_cut
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
@@ -55,10 +57,7 @@ def _are_facts(evaluator: CandidateEvaluator, state: SelectionState, weakest: Su
         return False
     if len(state.accepted) == 1:
         return True
-    excess, without, remaining = (
-        max(fit.select_chi2 - 1.0, 1e-9)
-        for fit in (state.base_fit, _without(evaluator, state, weakest.key), state.current)
-    )
+    excess, without, remaining = _excesses(state.base_fit, _without(evaluator, state, weakest.key), state.current)
     shares = weakest.share >= MIN_MEMBER_SHARE and without - remaining >= MIN_MEMBER_SHARE_OF_ALL * excess
     return shares and not weakest.cut[0] <= 0.0
 
@@ -78,14 +77,15 @@ def compare(evaluator: CandidateEvaluator, key: str, without: CandidateFit, fit:
         fit: The second fit.
 
     Returns:
-        The evidence for the effect, as that of a candidate.
+        The evidence for the effect, as that of a candidate. If a prediction fails, the share is that of the training
+        split, and the ends of the interval are NaN.
     """
     problem = evaluator.problem
     before, after = (
         problem.counted_samples(problem.predict(f.refit.effect_set, f.refit.base, SELECT), SELECT)
         for f in (without, fit)
     )
-    excess, remaining = (max(f.select_chi2 - 1.0, 1e-9) for f in (without, fit))
+    excess, remaining = _excesses(without, fit)
     return Support(key, 1.0 - remaining / excess, bootstrap_cut(before, after, evaluator.seed), False)
 
 
@@ -101,3 +101,11 @@ def _without(evaluator: CandidateEvaluator, state: SelectionState, key: str) -> 
     fit = evaluator.evaluate(evaluator.fit(remaining, refit.base, evaluator.stride(state.current.train_chi2)))
     state.accepted_fits.append(fit)
     return fit
+
+
+def _excesses(*fits: CandidateFit) -> list[float]:
+    """Excess mean squares over the noise on the selection split; on the training split if a prediction of it fails."""
+    chi2 = [fit.select_chi2 for fit in fits]
+    if not all(map(math.isfinite, chi2)):
+        chi2 = [fit.train_chi2 for fit in fits]
+    return [max(value - 1.0, 1e-9) for value in chi2]

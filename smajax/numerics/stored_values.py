@@ -25,8 +25,8 @@ from smajax.numerics.lowered_modules import add_call, add_function, blocks_of, c
 
 # Repeated operations for each number of a value from which the value is stored. Chosen by trial.
 REPEATED_OPERATIONS = 12
-# The same for values of so many numbers, such as those of a batch of designs.
-REPEATED_IN_BATCH, BATCH = 4, 64
+# The same for values of so many numbers, such as those of a batch of designs, or of all grains of all cells.
+REPEATED_IN_BATCH, BATCH = 4, 24
 # Operations that only move numbers.
 _MOVES = {
     "broadcast_in_dim",

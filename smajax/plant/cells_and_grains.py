@@ -110,16 +110,17 @@ class CellsAndGrains(eqx.Module):
             accumulated_transformation=self._along_wire(wire_state.accumulated_transformation),
         )
 
-    def _flat_over_grains(self, values: Float[Array, "..."]) -> Float[Array, " all_grains"]:
-        """A quantity of the grains, of the cells or of the wires for all grains of all cells, along one axis.
+    def _flat_over_grains(self, values: Float[Array, "..."]) -> Float[Array, "*all_grains"]:
+        """A quantity of the grains, of the cells or of the wires for all grains, with cells along one axis.
 
         A compiled loop over one axis is faster than nested ones over a few grains, cells and wires
         (experiments/speed/compiled_loops.py).
         """
-        return jnp.broadcast_to(values, self.fractions_shape).ravel()
+        each = jnp.broadcast_to(values, self.fractions_shape)
+        return each if self.cells is None else each.ravel()
 
     def _law_of_grains(self, material: AbstractMaterial) -> AbstractMaterial:
-        """The law of all grains of all cells, along one axis like ``_flat_over_grains``, from that of the wire."""
+        """The law of all grains from that of the wire, with arrays like those of ``_flat_over_grains``."""
         assert self.grains is not None
         flat = jax.tree.map(lambda leaf: self._flat_over_grains(leaf) if jnp.ndim(leaf) else leaf, material)
         per_grain = jnp.asarray(self.grains.quantiles).T.reshape(2, -1, *(1,) * len(self.temperature_shape))

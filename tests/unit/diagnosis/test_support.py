@@ -90,6 +90,19 @@ def test_a_second_effect_that_explains_little_of_all_is_a_candidate():
     assert state.accepted == ("latent-heat",)
 
 
+@pytest.mark.parametrize("accepted", [("sensor-lag",), ("sensor-lag", "slack")])
+def test_where_the_fit_without_effects_cannot_predict_the_share_is_that_of_the_training_split(accepted):
+    chi2 = {(): 81.0, ("sensor-lag",): 41.0, ("slack",): 61.0, ("sensor-lag", "slack"): 9.0}
+    base = CandidateFit(fit_of((), 81.0).refit, 81.0, np.nan, 0.0)
+    state = SelectionState({}, {}, base, fit_of(accepted, chi2[accepted]), 1.05, {})
+    evaluator = evaluator_of(chi2 | {(): np.nan})
+    judge_effects(evaluator, state)  # pyright: ignore[reportArgumentType]
+    assert state.accepted == accepted
+    if len(accepted) == 1:
+        (support,) = state.supports
+        assert support.share == pytest.approx(0.5) and np.isnan(support.cut).all()
+
+
 def test_effects_that_explain_the_training_split_are_judged_after_the_joint_refit():
     fit = fit_of(("airflow-change",), 60.0)
     state = SelectionState({}, {}, fit_of((), BASE), CandidateFit(fit.refit, 1.0, 60.0, 0.0), 1.05, {})
