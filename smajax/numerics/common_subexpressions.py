@@ -4,8 +4,8 @@ The equations of a step are evaluated several times in the body of a loop. XLA m
 of it before it looks for equal operations, so that what the evaluations have in common depends on several copies of the
 same constants, and stays. Here equal operations are merged before XLA sees them, which also leaves it less to compile.
 
-With it the shipped wire that lifts a weight takes 0.84 times the time to compile, and its derivatives 0.90 times; they
-run in 1.00 and 0.97 times the time (experiments/speed/compiled_loops.py).
+With it the shipped wire that lifts a weight takes 0.92 times the time to compile, and the derivatives of one of nine
+cells 0.77 times; they run in 1.01 and 1.00 times the time (experiments/speed/compiled_loops.py).
 """
 
 import functools

@@ -8,8 +8,8 @@ argument therefore has a value stored.
 
 What does not change in a loop stays as it is, since XLA computes it before the loop.
 
-With it the shipped wire that lifts a weight is differentiated in 0.69 times the time, and one of nine cells simulated
-in 0.41 and differentiated in 0.32 times (experiments/speed/compiled_loops.py).
+With it the shipped wire that lifts a weight is differentiated in 0.66 times the time, and one of nine cells simulated
+in 0.39 and differentiated in 0.33 times (experiments/speed/compiled_loops.py).
 """
 
 import itertools

@@ -113,8 +113,8 @@ class CellsAndGrains(eqx.Module):
     def _flat_over_grains(self, values: Float[Array, "..."]) -> Float[Array, "*all_grains"]:
         """A quantity of the grains, of the cells or of the wires for all grains, with cells along one axis.
 
-        A compiled loop over one axis is faster than nested ones over a few grains, cells and wires
-        (experiments/speed/compiled_loops.py).
+        A compiled loop over one axis is faster than nested ones over a few grains, cells and wires: with nine cells of
+        six grains a simulation takes 0.63 times the time (experiments/speed/compiled_loops.py).
         """
         each = jnp.broadcast_to(values, self.fractions_shape)
         return each if self.cells is None else each.ravel()
