@@ -122,10 +122,12 @@ class CellsAndGrains(eqx.Module):
     def _law_of_grains(self, material: AbstractMaterial) -> AbstractMaterial:
         """The law of all grains from that of the wire, with arrays like those of ``_flat_over_grains``."""
         assert self.grains is not None
-        flat = jax.tree.map(lambda leaf: self._flat_over_grains(leaf) if jnp.ndim(leaf) else leaf, material)
+        if jnp.ndim(material.austenite_shift):  # of each cell, by an effect
+            flat = self._flat_over_grains(material.austenite_shift)
+            material = eqx.tree_at(lambda law: law.austenite_shift, material, flat)
         per_grain = jnp.asarray(self.grains.quantiles).T.reshape(2, -1, *(1,) * len(self.temperature_shape))
         first, other = map(self._flat_over_grains, per_grain)
-        return self.grains.material_of(flat, (first, other))
+        return self.grains.material_of(material, (first, other))
 
     def _grain_temperatures(self, temperature: Float[Array, "*cells wires"]) -> Float[Array, "*grains wires"]:
         """The temperatures of all grains, which are spread over the lengths of the cells."""
