@@ -197,3 +197,12 @@ def _cell_axes(argument: Any) -> Any:
     if isinstance(argument, StageContext):
         return None
     return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, argument)
+
+
+def shifts_reverse(effect: MaterialEffect) -> bool:
+    """Return whether an effect shifts the reverse transformation, by the state at the start of a step.
+
+    Args:
+        effect: The effect.
+    """
+    return type(effect).reverse_shift is not MaterialEffect.reverse_shift

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from smajax.arguments import check_interpolation
 from smajax.channels import driving_signals
 from smajax.errors import InputError
-from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains, PreparedParts
+from smajax.plant.cells_and_grains import CLAMP, CellsAndGrains, PreparedParts, shifts_reverse
 from smajax.plant.drive import AbstractDrive
 from smajax.plant.effects.base import (
     AbstractEffect,
@@ -325,7 +325,7 @@ class PlantStages(CellsAndGrains):
         context, material = self._stage_context(), self.effective_material
         for e in self._effects_of(MaterialEffect):
             material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
-            if first is not None and _shifts_reverse(e):
+            if first is not None and shifts_reverse(e):
                 own = self._each_cell(e.reverse_shift, first, context)
                 own = checked_result(e, "reverse_shift", own, first.temperature.shape, "wires")
                 material = eqx.tree_at(lambda law: law.austenite_shift, material, material.austenite_shift + own)
@@ -338,7 +338,7 @@ class PlantStages(CellsAndGrains):
         """
         if self.prepared_parts is not None or (self.cells is None and self.grains is None):
             return self
-        is_constant = not any(map(_shifts_reverse, self._effects_of(MaterialEffect)))
+        is_constant = not any(map(shifts_reverse, self._effects_of(MaterialEffect)))
         law = self._law_in_step(None) if self.grains is not None and is_constant else None
         parts = PreparedParts(None if self.cells is None else self._geometry, law)
         return eqx.tree_at(lambda p: p.prepared_parts, self, parts, is_leaf=lambda leaf: leaf is None)
@@ -393,8 +393,3 @@ class PlantStages(CellsAndGrains):
             ]
             stored = stored + (heats[0] - heats[1])
         return stored
-
-
-def _shifts_reverse(effect: MaterialEffect) -> bool:
-    """Whether an effect shifts the reverse transformation by the state at the start of a step."""
-    return type(effect).reverse_shift is not MaterialEffect.reverse_shift

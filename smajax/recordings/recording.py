@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from smajax.arguments import check_interpolation
 from smajax.channels import channel_unit
 from smajax.errors import InputError, suggestion
 from smajax.recordings.traced_values import is_tracing_error, traced_values_error
@@ -213,6 +214,7 @@ def sample_channels(
     if missing:
         hint = suggestion(missing[0], recording.channels)
         raise InputError(f"{recording.name}: there is no channel '{missing[0]}'{hint}: name one of its channels")
+    check_interpolation(interpolation)
     times = np.asarray(times, float)
     result = np.empty((len(times), len(names)))
     if interpolation == "hold":
@@ -221,11 +223,9 @@ def sample_channels(
         last = np.searchsorted(recording.time, times + slack, side="right") - 1
         for i, name in enumerate(names):
             result[:, i] = recording.channels[name][np.maximum(last, 0)]
-    elif interpolation == "linear":
+    else:
         for i, name in enumerate(names):
             result[:, i] = np.interp(times, recording.time, recording.channels[name])
-    else:
-        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
     return result
 
 
