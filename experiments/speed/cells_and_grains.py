@@ -5,9 +5,9 @@
 The shipped wire that lifts a weight is simulated with more and more cells and grains. Errors are root mean squares of
 the displacement, relative to its range, against a finer plant. The cost is the processor time of a compiled simulation
 and of its derivatives by all free parameters, and that of whole fits from one start without compilation, over those of
-one cell and one grain, each the shortest of several. One fit is to a recording that the plant itself simulates with
-other parameters and noise, so that each has what it can describe; the other one is to the shipped recording, of a wire
-of one cell and one grain, for which nine cells of six grains take more steps.
+one cell and one grain, each the shortest of several. One fit is to a recording simulated by the same plant with
+other parameters and noise; the other is to the shipped recording, of a wire of one cell and one grain, to which nine
+cells of six grains need more steps.
 """
 
 import sys
@@ -40,7 +40,8 @@ CONVERGED = 0.005
 # Largest cost of nine cells of six grains in a fit.
 LARGEST_COST = 10.0
 RECOMMENDED = (9, 6)
-# Parameters of the plants that simulate their own recordings, other than the start values, and their noise, m.
+# True parameters of simulated recordings, which differ from the start values, and the standard deviation of their
+# noise, m.
 TRUTH = {"heat.h0": 80.0, "material.max_transformation_strain": 0.044, "material.martensite_shift": 3.0}
 NOISE = 2e-5
 
@@ -72,12 +73,12 @@ def shortest(function: Callable[[], Any], repeats: int) -> float:
     return min(times)
 
 
-def own_recording(plant: Plant, recording: Recording, interpolation: str) -> Recording:
+def simulated_recording(plant: Plant, recording: Recording, interpolation: str) -> Recording:
     """Return a recording of a plant with the parameters of ``TRUTH``, under the current of another recording."""
     truth = displacement(parameters.replace(plant, TRUTH), discretise(plant, recording, interpolation=interpolation))
     noise = NOISE * np.random.default_rng(0).standard_normal(len(truth))
     channels = {"current": recording.channels["current"], "displacement": truth + noise}
-    return Recording.from_arrays("own", recording.time, channels)
+    return Recording.from_arrays("simulated", recording.time, channels)
 
 
 def convergence(plant: Plant, inputs: Inputs, quick: bool) -> list[Row]:
@@ -104,8 +105,8 @@ def convergence(plant: Plant, inputs: Inputs, quick: bool) -> list[Row]:
 
 def cost(rig: Any, recording: Recording, quick: bool) -> list[Row]:
     """Processor times of a simulation, of its derivatives, and of two fits from one start."""
-    own, shipped = "fit of a recording of its own", "fit of the shipped recording"
-    times: dict[str, list[float]] = {"simulation": [], "derivatives": [], own: [], shipped: []}
+    simulated, shipped = "fit to a simulated recording", "fit to the shipped recording"
+    times: dict[str, list[float]] = {"simulation": [], "derivatives": [], simulated: [], shipped: []}
     settings = replace(rig.fit, starts=1)
     for structure in ((1, 1), RECOMMENDED):
         say(f"cost of {structure[0]} cells of {structure[1]} grains ...")
@@ -120,14 +121,14 @@ def cost(rig: Any, recording: Recording, quick: bool) -> list[Row]:
         for what, function in (("simulation", response), ("derivatives", jax.jacfwd(response))):
             compiled = jit_with_kernels(function)
             times[what].append(shortest(lambda f=compiled, at=at: f(at), 3 if quick else 10))
-        for what, data in ((own, own_recording(plant, recording, rig.interpolation)), (shipped, recording)):
+        for what, data in ((simulated, simulated_recording(plant, recording, rig.interpolation)), (shipped, recording)):
             times[what].append(
                 shortest(lambda p=plant, d=data: fit(p, [d], settings, interpolation=rig.interpolation).cost, 3)
             )
     rows = []
     for what, (one, many) in times.items():
         ratio = many / one
-        target, met = ("-", None) if what != own else (f"at most times {LARGEST_COST:g}", ratio <= LARGEST_COST)
+        target, met = ("-", None) if what != simulated else (f"at most times {LARGEST_COST:g}", ratio <= LARGEST_COST)
         name = f"cost of {RECOMMENDED[0]} cells of {RECOMMENDED[1]} grains: {what}"
         text = f"{1e3 * one:.1f} ms, times {ratio:.1f}"
         rows.append(Row(name, target, text, met, {"times": [one, many], "ratio": ratio}))

@@ -4,8 +4,9 @@
 
 Each command runs in a process of its own on the example of ``smajax init dead-weight`` (recordings of 6,001 rows):
 first with an empty cache, and then, with the programs of that run, on another recording of the same kind where there is
-one. Seconds are split into importing, reading, tracing, lowering, compiling, running and writing; each moment counts
-once. Commands of less than two seconds run five times, others as often as the table says; the median counts.
+one. The package is compiled to bytecode before, as an installation does. Seconds are split into importing, reading,
+tracing, lowering, compiling, running and writing; each moment counts once. Commands of less than two seconds run five
+times, others as often as the table says; the median counts.
 """
 
 import shutil
