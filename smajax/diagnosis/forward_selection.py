@@ -38,6 +38,7 @@ from smajax.diagnosis.onset_times import refine_onsets
 from smajax.diagnosis.plausibility import plausible_fits, refusal
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.ranking import rank_effects
+from smajax.diagnosis.rising_convection import repeat_if_overheating
 from smajax.diagnosis.selection_state import SIGNIFICANCE, SelectionState, chi2_threshold
 from smajax.diagnosis.successive_halving import successive_halving
 from smajax.errors import Cancelled
@@ -149,6 +150,7 @@ def _start_selection(
 ) -> tuple[CandidateEvaluator, SelectionState]:
     """Fit the rig without further effects and set the noise. Return evaluator and state before the first round."""
     base, detectability, nominal_scores = _prepare(problem, seed, starts, report_progress)
+    base = repeat_if_overheating(problem, base, seed, starts)
     noise = base.noise | {c: (value, "rig file") for c, value in known_noise.items() if c in base.noise}
     if not base.converged:
         report_progress("the base fit did not converge; its residual is not reliable")
@@ -158,7 +160,7 @@ def _start_selection(
     limit = chi2_threshold(problem.samples)
     limit = max(limit, _MIN_LIMIT_IF_ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
     state = SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
-    state.offsets = base.offsets
+    state.offsets, state.bounded = base.offsets, base.bounded
     return evaluator, state
 
 

@@ -116,7 +116,8 @@ def _concluded(
     except KeyboardInterrupt:  # the effects are a result without these
         found.state.interrupted = True
     conclusion = _conclusion(found, explanation, law)
-    found.state.offsets = without.offsets  # of the rig as it is, without a structure of the wire
+    # Of the rig as it is, without a structure of the wire.
+    found.state.offsets, found.state.bounded = without.offsets, without.bounded
     return summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
 
 

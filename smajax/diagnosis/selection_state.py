@@ -83,6 +83,7 @@ class SelectionState:
         interrupted: Whether the progress callback stopped the search.
         supports: Evidence for the accepted effects, facts, and for those that are candidates (``support``).
         offsets: Offsets of sensors that explain the base fit's residual above the noise, without any effect.
+        bounded: Parameters that were kept from making convection fall with the temperature (``rising_convection``).
     """
 
     detectability: dict[str, Detectability]
@@ -101,6 +102,7 @@ class SelectionState:
     interrupted: bool = False
     supports: tuple[Support, ...] = ()
     offsets: tuple[ResidualOffset, ...] = ()
+    bounded: tuple[str, ...] = ()
 
     @property
     def accepted(self) -> tuple[str, ...]:

@@ -78,6 +78,7 @@ def diagnosis_document(
         "left_out": _left_out_entries(left_out, misplaced),
         "noise_floor": noise_floor,
         "base_fit_at_rest": diagnosis.base_fit_converged,
+        "rising_convection": list(diagnosis.bounded),
         "goodness_of_fit": _goodness_of_fit(diagnosis),
         "stages": {stage: finite_or_none(share) for stage, share in diagnosis.stage_shares.items()},
         **_effect_tables(diagnosis, recordings[0]),

@@ -32,6 +32,11 @@ def sentences(doc: Document) -> list[str]:
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
         lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
+    if bounded := doc.get("rising_convection"):
+        lines.append(
+            f"Convection was kept from falling with the temperature ({' and '.join(bounded)} of at least 0): with the "
+            "values that fit the training recording best the wire overheats under the input of another recording."
+        )
     lines += rival_sentences(doc)
     lines += [f"{entry['text'][:1].upper()}{entry['text'][1:]}" for entry in doc.get("implausible", ())]
     lines += [_failure_sentence(entry) for entry in doc.get("failures", ())]

@@ -337,6 +337,11 @@ class DiagnosisDocument(Document):
     left_out: list[LeftOutEntry] = Field(description="recorded channels and effects that were not used")
     noise_floor: dict[str, NoiseEntry] = Field(description="noise by channel")
     base_fit_at_rest: bool = Field(description="whether the fit without further effects converged")
+    rising_convection: list[str] = Field(
+        [],
+        description="coefficients of h(T) that were bounded at 0, since the fit without this overheats with the input "
+        "of another recording; absent in earlier documents",
+    )
     goodness_of_fit: GoodnessOfFit = Field(description="reduced chi-squared before and after")
     stages: dict[Stage, Number] = Field(description="share of the residual that each stage can explain, from 0 to 1")
     ranking: list[RankingEntry] = Field(description="all effects: accepted ones first, then by their statistic")

@@ -274,6 +274,22 @@ def test_effects_act_on_a_wire_of_cells(kind, stage):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("cells", "grains"), [(3, 1), (1, 2), (3, 2)])
+def test_a_law_that_changes_with_the_stress_acts_on_each_grain_of_each_cell(cells, grains):
+    """A hysteresis that widens linearly with the stress is another slope C_A, with s sigma / 100 MPa + sigma / C_A."""
+    plant = with_structure(plants.bias_spring(), cells, grains)
+    slope = float(plant.material.clausius_clapeyron_austenite)
+    widened = dataclasses.replace(plant, effects=(catalogue()["hysteresis-widening"](strength=3.0, power=1.0),))
+    other = parameters.replace(plant, {"material.clausius_clapeyron_austenite": 1.0 / (1.0 / slope + 3.0 / 100e6)})
+    inputs = discretise(plant, plants.inputs("bias_spring", 150))
+    moved, expected, without = (
+        np.asarray(simulate(p, inputs).channels["displacement"]) for p in (widened, other, plant)
+    )
+    np.testing.assert_allclose(moved, expected, rtol=0.0, atol=1e-9)
+    assert np.max(np.abs(moved - without)) > 1e-4
+
+
+@pytest.mark.slow
 def test_the_step_converges_to_the_differential_equation():
     plant = with_structure(plants.dead_weight(), 5, 2)
     recording = plants.inputs("dead_weight", 40, 0.15)

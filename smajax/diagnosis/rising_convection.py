@@ -1,0 +1,66 @@
+"""Convection that does not fall with the temperature, where a base fit without this overheats under another input.
+
+A large missing effect can bend the fitted h(T) so far that it falls. With the training input the wire may stay below
+the temperature at which its convection no longer carries the heat away; with another one it runs away, and nothing that
+is compared with that fit means anything. The coefficients of T in h(T) are then bounded at 0.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from smajax.diagnosis.base_fit import BaseFit, fit_base
+from smajax.diagnosis.candidates import EffectSet, Refit
+from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.simulation.status import SimulationStatus
+
+# Coefficients of T and of its power in h(T).
+_COEFFICIENTS = ("heat.h1", "heat.h2")
+
+
+def repeat_if_overheating(problem: DiagnosisProblem, base: BaseFit, seed: int, starts: int) -> BaseFit:
+    """Repeat a base fit with rising convection, where the fit overheats with the input of another recording.
+
+    Args:
+        problem: The diagnosis problem; if the fit is repeated, all later searches keep the bounds.
+        base: The base fit.
+        seed: Seed of the start points.
+        starts: Least number of starts.
+
+    Returns:
+        The base fit, or that with rising convection, which names the parameters that were bounded.
+    """
+    if not _overheats(problem, base.point) or not (bounded := keep_convection_rising(problem)):
+        return base
+    return fit_base(problem, seed, starts)._replace(bounded=bounded)
+
+
+def _overheats(problem: DiagnosisProblem, point: np.ndarray) -> bool:
+    """Whether a fit has a falling h(T), and the wire melts with the input of the selection or holdout split."""
+    values = {u.name: point[i] for i, u in enumerate(problem.problems[TRAIN].unknowns)}
+    if not any(values.get(name, 0.0) < 0.0 for name in _COEFFICIENTS):
+        return False
+    fit = Refit(EffectSet(), point, np.zeros(0), np.zeros((0, 0)), SolverStatus.converged)
+    return any(problem.report(fit, split)[1] is SimulationStatus.overheated for split in (SELECT, HOLDOUT))
+
+
+def keep_convection_rising(problem: DiagnosisProblem) -> tuple[str, ...]:
+    """Bound the free coefficients of h(T) at 0, but not those whose own value in the rig is negative.
+
+    Args:
+        problem: The diagnosis problem; all later searches keep the bounds, also with other laws or a structure.
+
+    Returns:
+        The names of the parameters whose bound has moved.
+    """
+    unknowns, (lower, upper) = problem.base_problem.unknowns, problem.bounds
+    moved = {u.name: u for u in unknowns if u.name in _COEFFICIENTS and u.lower < 0.0 <= u.nominal}
+    bounds = dict(problem.settings.bounds) | {name: (0.0, u.upper) for name, u in moved.items()}
+    problem.settings = dataclasses.replace(problem.settings, bounds=bounds)  # pyright: ignore[reportArgumentType]
+    raised = tuple(dataclasses.replace(u, lower=0.0) if u.name in moved else u for u in unknowns)
+    problem.base_problem = dataclasses.replace(problem.base_problem, unknowns=raised)
+    is_moved = np.array([u.name in moved for u in problem.problems[TRAIN].unknowns])
+    problem.bounds = (np.where(is_moved, 0.0, lower), upper)
+    return tuple(moved)
