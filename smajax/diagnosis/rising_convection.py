@@ -53,14 +53,14 @@ def keep_convection_rising(problem: DiagnosisProblem) -> tuple[str, ...]:
         problem: The diagnosis problem; all later searches keep the bounds, also with other laws or a structure.
 
     Returns:
-        The names of the parameters whose bound has moved.
+        The names of the parameters that were bounded.
     """
     unknowns, (lower, upper) = problem.base_problem.unknowns, problem.bounds
-    moved = {u.name: u for u in unknowns if u.name in _COEFFICIENTS and u.lower < 0.0 <= u.nominal}
-    bounds = dict(problem.settings.bounds) | {name: (0.0, u.upper) for name, u in moved.items()}
+    bounded = {u.name: u for u in unknowns if u.name in _COEFFICIENTS and u.lower < 0.0 <= u.nominal}
+    bounds = dict(problem.settings.bounds) | {name: (0.0, u.upper) for name, u in bounded.items()}
     problem.settings = dataclasses.replace(problem.settings, bounds=bounds)  # pyright: ignore[reportArgumentType]
-    raised = tuple(dataclasses.replace(u, lower=0.0) if u.name in moved else u for u in unknowns)
+    raised = tuple(dataclasses.replace(u, lower=0.0) if u.name in bounded else u for u in unknowns)
     problem.base_problem = dataclasses.replace(problem.base_problem, unknowns=raised)
-    is_moved = np.array([u.name in moved for u in problem.problems[TRAIN].unknowns])
-    problem.bounds = (np.where(is_moved, 0.0, lower), upper)
-    return tuple(moved)
+    is_bounded = np.array([u.name in bounded for u in problem.problems[TRAIN].unknowns])
+    problem.bounds = (np.where(is_bounded, 0.0, lower), upper)
+    return tuple(bounded)

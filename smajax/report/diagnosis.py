@@ -77,8 +77,7 @@ def diagnosis_document(
         "recordings": [recording_entry(r, name) for r, name in zip(recordings, SPLIT_NAMES, strict=True)],
         "left_out": _left_out_entries(left_out, misplaced),
         "noise_floor": noise_floor,
-        "base_fit_at_rest": diagnosis.base_fit_converged,
-        "rising_convection": list(diagnosis.bounded),
+        **_base_fit(diagnosis),
         "goodness_of_fit": _goodness_of_fit(diagnosis),
         "stages": {stage: finite_or_none(share) for stage, share in diagnosis.stage_shares.items()},
         **_effect_tables(diagnosis, recordings[0]),
@@ -102,6 +101,11 @@ def _effect_tables(diagnosis: Diagnosis, recording: Recording) -> dict[str, Any]
         "excluded": [_excluded_entry(detectability) for detectability in diagnosis.excluded],
         "preflight": [_detectability_entry(detectability) for detectability in diagnosis.detectability],
     }
+
+
+def _base_fit(diagnosis: Diagnosis) -> dict[str, Any]:
+    """How the fit without effects ended."""
+    return {"base_fit_at_rest": diagnosis.base_fit_converged, "rising_convection": list(diagnosis.bounded)}
 
 
 def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:
