@@ -42,7 +42,7 @@ class BaseFit(NamedTuple):
         noise: Standard deviation of each channel's noise, SI, and its source.
         converged: Whether the fit is stationary.
         offsets: Offsets of sensors that explain the residual above the noise, without any effect.
-        bounded: Parameters that were kept from making convection fall with the temperature (``rising_convection``).
+        rising_convection: Coefficients of h(T) that were bounded at 0 (module ``rising_convection``).
     """
 
     point: np.ndarray
@@ -50,7 +50,7 @@ class BaseFit(NamedTuple):
     noise: dict[str, tuple[float, str]]
     converged: bool
     offsets: tuple[ResidualOffset, ...] = ()
-    bounded: tuple[str, ...] = ()
+    rising_convection: tuple[str, ...] = ()
 
 
 def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:

@@ -151,6 +151,8 @@ def _start_selection(
     """Fit the rig without further effects and set the noise. Return evaluator and state before the first round."""
     base, detectability, nominal_scores = _prepare(problem, seed, starts, report_progress)
     base = repeat_if_overheating(problem, base, seed, starts)
+    if base.rising_convection:
+        report_progress("fitted again with convection that does not fall: the wire melted under another input")
     noise = base.noise | {c: (value, "rig file") for c, value in known_noise.items() if c in base.noise}
     if not base.converged:
         report_progress("the base fit did not converge; its residual is not reliable")
@@ -160,7 +162,7 @@ def _start_selection(
     limit = chi2_threshold(problem.samples)
     limit = max(limit, _MIN_LIMIT_IF_ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
     state = SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
-    state.offsets, state.bounded = base.offsets, base.bounded
+    state.offsets, state.rising_convection = base.offsets, base.rising_convection
     return evaluator, state
 
 

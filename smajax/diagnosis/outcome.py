@@ -117,7 +117,8 @@ def _concluded(
         found.state.interrupted = True
     conclusion = _conclusion(found, explanation, law)
     # Of the rig as it is, without a structure of the wire.
-    found.state.offsets, found.state.bounded = without.offsets, without.bounded
+    found.state.offsets = without.offsets
+    found.state.rising_convection = without.rising_convection
     return summarise(found.evaluator, found.state, before, found.after, conclusion, without=rig)
 
 

@@ -131,7 +131,7 @@ class Diagnosis:
         error_budget: Errors by what was added to the model; empty if the diagnosis was stopped before.
         law: Comparison with other material laws; ``None`` where it was not asked for.
         offsets: Offsets of sensors that explain the base fit's residual above the noise, without any effect.
-        bounded: Parameters that were kept from making convection fall with the temperature (``rising_convection``).
+        rising_convection: Coefficients of h(T) that were bounded at 0 (module ``rising_convection``).
     """
 
     verdict: str
@@ -166,7 +166,7 @@ class Diagnosis:
     error_budget: tuple[BudgetEntry, ...] = ()
     law: LawComparison | None = None
     offsets: tuple[ResidualOffset, ...] = ()
-    bounded: tuple[str, ...] = ()
+    rising_convection: tuple[str, ...] = ()
 
 
 def summarise(
@@ -207,7 +207,7 @@ def summarise(
         after=after,
         base_fit_converged=state.base_fit_converged,
         offsets=state.offsets,
-        bounded=state.bounded,
+        rising_convection=state.rising_convection,
         reduced_chi2=(before_chi2, after_chi2, state.chi2_limit),
         rmse=_errors(series, noise),
         cut95=_cuts(evaluator, predictions, conclusion.holdout_decided),

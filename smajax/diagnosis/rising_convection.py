@@ -2,7 +2,8 @@
 
 A large missing effect can bend the fitted h(T) so far that it falls. With the training input the wire may stay below
 the temperature at which its convection no longer carries the heat away; with another one it runs away, and nothing that
-is compared with that fit means anything. The coefficients of T in h(T) are then bounded at 0.
+is compared with that fit means anything. The coefficients of T in h(T) are then bounded at 0. Only the inputs of the
+selection and holdout recordings have a part in this, not what was measured.
 """
 
 import dataclasses
@@ -18,6 +19,8 @@ from smajax.simulation.status import SimulationStatus
 
 # Coefficients of T and of its power in h(T).
 _COEFFICIENTS = ("heat.h1", "heat.h2")
+# How a simulation ends whose wire heats up without limit.
+_RUNAWAY = (SimulationStatus.overheated, SimulationStatus.diverged)
 
 
 def repeat_if_overheating(problem: DiagnosisProblem, base: BaseFit, seed: int, starts: int) -> BaseFit:
@@ -32,25 +35,24 @@ def repeat_if_overheating(problem: DiagnosisProblem, base: BaseFit, seed: int, s
     Returns:
         The base fit, or that with rising convection, which names the parameters that were bounded.
     """
-    if not _overheats(problem, base.point) or not (bounded := keep_convection_rising(problem)):
+    if not _overheats(problem, base.point) or not (bounded := _bound_coefficients(problem)):
         return base
-    return fit_base(problem, seed, starts)._replace(bounded=bounded)
+    return fit_base(problem, seed, starts)._replace(rising_convection=bounded)
 
 
 def _overheats(problem: DiagnosisProblem, point: np.ndarray) -> bool:
     """Whether a fit has a falling h(T), and the wire melts with the input of the selection or holdout split."""
-    values = {u.name: point[i] for i, u in enumerate(problem.problems[TRAIN].unknowns)}
-    if not any(values.get(name, 0.0) < 0.0 for name in _COEFFICIENTS):
+    unknowns = problem.problems[TRAIN].unknowns
+    if not any(u.name in _COEFFICIENTS and value < 0.0 for u, value in zip(unknowns, point, strict=True)):
         return False
     fit = Refit(EffectSet(), point, np.zeros(0), np.zeros((0, 0)), SolverStatus.converged)
-    return any(problem.report(fit, split)[1] is SimulationStatus.overheated for split in (SELECT, HOLDOUT))
+    return any(problem.report(fit, split)[1] in _RUNAWAY for split in (SELECT, HOLDOUT))
 
 
-def keep_convection_rising(problem: DiagnosisProblem) -> tuple[str, ...]:
+def _bound_coefficients(problem: DiagnosisProblem) -> tuple[str, ...]:
     """Bound the free coefficients of h(T) at 0, but not those whose own value in the rig is negative.
 
-    Args:
-        problem: The diagnosis problem; all later searches keep the bounds, also with other laws or a structure.
+    Later searches have the same bounds, also those with another law or a structure, which take the settings.
 
     Returns:
         The names of the parameters that were bounded.

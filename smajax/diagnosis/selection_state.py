@@ -83,7 +83,7 @@ class SelectionState:
         interrupted: Whether the progress callback stopped the search.
         supports: Evidence for the accepted effects, facts, and for those that are candidates (``support``).
         offsets: Offsets of sensors that explain the base fit's residual above the noise, without any effect.
-        bounded: Parameters that were kept from making convection fall with the temperature (``rising_convection``).
+        rising_convection: Coefficients of h(T) that were bounded at 0 (module ``rising_convection``).
     """
 
     detectability: dict[str, Detectability]
@@ -102,7 +102,7 @@ class SelectionState:
     interrupted: bool = False
     supports: tuple[Support, ...] = ()
     offsets: tuple[ResidualOffset, ...] = ()
-    bounded: tuple[str, ...] = ()
+    rising_convection: tuple[str, ...] = ()
 
     @property
     def accepted(self) -> tuple[str, ...]:

@@ -105,7 +105,7 @@ def _effect_tables(diagnosis: Diagnosis, recording: Recording) -> dict[str, Any]
 
 def _base_fit(diagnosis: Diagnosis) -> dict[str, Any]:
     """How the fit without effects ended."""
-    return {"base_fit_at_rest": diagnosis.base_fit_converged, "rising_convection": list(diagnosis.bounded)}
+    return {"base_fit_at_rest": diagnosis.base_fit_converged, "rising_convection": list(diagnosis.rising_convection)}
 
 
 def _structure_and_support(diagnosis: Diagnosis) -> dict[str, Any]:

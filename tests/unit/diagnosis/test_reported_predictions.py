@@ -18,6 +18,7 @@ from smajax.diagnosis.rising_convection import repeat_if_overheating
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.files.rig_file import read_rig
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.material_laws import with_law
 from smajax.plant.effects import catalogue
 from smajax.recordings.datasets import data_path
 from smajax.report.diagnosis import diagnosis_document
@@ -74,9 +75,11 @@ def test_a_fit_whose_convection_falls_until_the_wire_melts_is_repeated_without_t
     whole, problem = problem, copy.copy(problem)
     falling, i = base_fit_with(problem, -1e-4)
     repeated = repeat_if_overheating(problem, falling, seed=0, starts=1)
-    assert repeated.bounded == ("heat.h2",) and repeated.point[i] >= 0.0
+    assert repeated.rising_convection == ("heat.h2",) and repeated.point[i] >= 0.0
     assert problem.bounds[0][i] == problem.base_problem.bounds[0][i] == problem.settings.bounds["heat.h2"][0] == 0.0
     assert problem.settings.bounds["heat.h2"][1] == problem.base_problem.unknowns[i].upper
+    settings = with_law(problem.base_problem.plant, problem.settings, "liang-rogers")[1]
+    assert settings.bounds["heat.h2"][0] == 0.0
     # The bounds of all other parameters stay, and the problem has nothing left to bound.
     others = np.arange(problem.size) != i
     assert np.array_equal(problem.bounds[0][others], whole.bounds[0][others]) and whole.bounds[0][i] < 0.0
@@ -91,13 +94,15 @@ def test_a_fit_is_not_repeated_where_convection_rises_or_the_wire_stays_whole(pr
     falling, _ = base_fit_with(cool, -1e-4)
     assert repeat_if_overheating(cool, falling, seed=0, starts=1) is falling
     assert "heat.h2" not in problem.settings.bounds
+    cool.report = lambda fit, split: (fit.residual, SimulationStatus.diverged)
+    assert repeat_if_overheating(cool, falling, seed=0, starts=1).rising_convection == ("heat.h2",)
 
 
 def test_document_summary_and_page_have_the_code_in_place_of_the_error(problem):
     evaluator, refit = CandidateEvaluator(problem, 0), refit_of(problem, EffectSet())
     fit = evaluator.evaluate(refit)
     state = SelectionState({}, {"displacement": (2e-5, "rig file")}, fit, fit, 1.05, {})
-    state.bounded = ("heat.h2",)
+    state.rising_convection = ("heat.h2",)
     diagnosis = summarise(evaluator, state, refit, refit, Conclusion("unresolved", "heat"))
     recordings = [split.recordings[0] for split in problem.splits]
     options = {"evidence": (), "left_out": {}, "misplaced": {}, "simulations": 1, "wall_time": 1.0, "seed": 0}
