@@ -27,18 +27,29 @@ _MIN_INFLUENCE = 1e-9
 def refit_jointly(problem: DiagnosisProblem, refit: Refit) -> Refit:
     """Fit the parameters of a refit to training and selection split together, starting at its point.
 
-    One split may determine a parameter that the other does not.
+    One split may determine a parameter that the other does not. A fit of the training split alone may then lie far from
+    the joint optimum: where more than noise remains, a second search starts at the rig's own values.
 
     Args:
         problem: The diagnosis problem.
         refit: A refit of the training split.
 
     Returns:
-        The joint refit, with residual and Jacobian of the training split; ``refit`` itself if each recording has own
-        parameters.
+        The joint refit with the smaller cost, with residual and Jacobian of the training split; ``refit`` itself if
+        each recording has own parameters.
     """
     if problem.own_count:
         return refit
+    joint = _refit_from(problem, refit)
+    errors = _reduced_chi2(problem, joint)
+    if max(errors) < ASK_FROM:
+        return joint
+    other = _refit_from(problem, dataclasses.replace(refit, base=problem.nominal))
+    return other if sum(_reduced_chi2(problem, other)) < sum(errors) else joint
+
+
+def _refit_from(problem: DiagnosisProblem, refit: Refit) -> Refit:
+    """The joint refit from one start."""
     # Onset times first: where one recording does not determine an onset, a search of all parameters would let the
     # others compensate for it.
     joint = refit
@@ -47,6 +58,12 @@ def refit_jointly(problem: DiagnosisProblem, refit: Refit) -> Refit:
         if turn == 0 or better is not None:
             joint = _minimise(problem, joint if better is None else dataclasses.replace(joint, effect_set=better))
     return joint
+
+
+def _reduced_chi2(problem: DiagnosisProblem, refit: Refit) -> list[float]:
+    """Reduced chi-squared of both splits; infinite where a simulation fails."""
+    chi2 = [problem.reduced_chi2(problem.predict(refit.effect_set, refit.base, k), k) for k in (TRAIN, SELECT)]
+    return [value if math.isfinite(value) else math.inf for value in chi2]
 
 
 class _JointResidual:

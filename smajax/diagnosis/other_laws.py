@@ -34,6 +34,9 @@ from smajax.plant.plant import Plant
 # Least relative fall of the error on the selection split by which one law is better than another: twice the 5 %
 # that an effect needs (``acceptance.MIN_SELECT_CUT``), since a law adds parameters.
 MIN_LAW_CUT = 0.1
+# Error of a law on the selection split over that on the training split up to which the training split determines its
+# parameters: beyond it, laws are not compared. Chosen by trial on single rough rigs.
+_MAX_GROWTH = 3.0
 # Relative fall of the cost at which the search of another law ends, and its largest number of steps: a right law ends
 # at the noise after fewer. Chosen by trial; experiments/diagnosis/other_laws.py prints how many laws are recognised.
 _RTOL = 1e-6
@@ -48,14 +51,21 @@ class LawFit(NamedTuple):
     Attributes:
         name: The law, as in ``MATERIALS``.
         error: Error on the selection split over the noise; infinite if the fit or the prediction fails.
+        train_error: Error on the training split over the noise; infinite if the fit fails.
         residual: Residual of the selection split over the noise, channel after channel, shape ``(scored,)``.
         plant: The fitted plant.
     """
 
     name: str
     error: float
+    train_error: float
     residual: Float[np.ndarray, " scored"]
     plant: Plant
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the training split determines the law's parameters, so that its predictions can be compared."""
+        return self.error <= _MAX_GROWTH * max(self.train_error, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +80,8 @@ class LawComparison:
         better: The best law, if it predicts clearly better than that of the rig does without effects.
         cut: 95 % interval of the fall of the error by that law, over the noise; NaN if the rig's law predicts nothing.
         cause: "none": no law is better; "law": the better one explains most of the excess, and more than effects do;
-            "effect": effects next to the rig's law explain more; "either": the split does not distinguish these;
+            "effect": effects next to the rig's law explain more; "either": the split does not distinguish these, or
+            the training split does not determine the better law's parameters;
             "part": the better law explains a small part of the excess only.
         plant: The plant with the better law, fitted; ``None`` if there is none.
         skipped: Reason by law that cannot be fitted.
@@ -118,6 +129,7 @@ class OtherLaws:
             nothing = (None, (math.nan, math.nan), "none", None)
             return LawComparison(self._own, errors, _error(after), *nothing, self._skipped)
         cause, cut = _cause(before, after, other.residual, seed), bootstrap_cut(before, other.residual, seed)
+        cause = "either" if cause == "law" and not other.is_determined else cause
         return LawComparison(self._own, errors, _error(after), other.name, cut, cause, other.plant, self._skipped)
 
     @functools.cached_property
@@ -188,6 +200,9 @@ def _fit_law(problem: DiagnosisProblem, base: CandidateFit, name: str) -> LawFit
     point = jnp.asarray(result.points[0])
     plant = parameters.replace(plant, {n: float(v) for n, v in train.values(point)[0].items()})
     if result.statuses[0] is SolverStatus.failed:
-        return LawFit(name, math.inf, np.full(1, math.nan), plant)
-    residual = splits.counted_samples(np.asarray(abstract_problem.compiled_residual(point, select)), SELECT)
-    return LawFit(name, _error(residual), residual, plant)
+        return LawFit(name, math.inf, math.inf, np.full(1, math.nan), plant)
+    fitted_residual, residual = (
+        splits.counted_samples(np.asarray(abstract_problem.compiled_residual(point, split)), k)
+        for k, split in ((TRAIN, train), (SELECT, select))
+    )
+    return LawFit(name, _error(residual), _error(fitted_residual), residual, plant)

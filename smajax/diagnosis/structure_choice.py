@@ -18,6 +18,7 @@ from smajax.diagnosis.data_split import SELECT, TRAIN
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.diagnosis.structure import (
+    ASK_FROM,
     CELLS,
     GRAINS,
     UNEVEN,
@@ -40,10 +41,14 @@ Evaluated = tuple[CandidateEvaluator, CandidateFit]
 def halves_excess(state: SelectionState, fit: CandidateFit) -> bool:
     """Return whether a fit leaves less than half of the training split's excess that the one without structure leaves.
 
+    A training split that is near the noise without structure shows nothing about it, and does not exclude it.
+
     Args:
         state: The state at the end of the selection without structure.
         fit: The fit with structure.
     """
+    if state.current.train_chi2 < ASK_FROM:
+        return True
     return fit.train_chi2 - 1.0 < _LARGEST_JOINT_SHARE * (state.current.train_chi2 - 1.0)
 
 
