@@ -3,11 +3,11 @@
     python experiments/speed/sweep_throughput.py [--quick] [--json FILE] [--out DIR]
 
 The same designs go through the sweep as the command runs it (chunks, tables on disk) and through a loop compiled by
-numba that shares designs among the same cores. They are run in turn, chunk by chunk, so that other load on the machine
-affects both. The loop takes as many substeps as it needs to be as exact as the sweep; its own limit with 64 substeps is
-the truth. Next to them are the same loop in plain Python, and one simulation after the other. Further rows are memory
-and cost against the number of designs, and the best of all samples against a refined one. On an accelerator the sweep
-also runs on the processor alone, and its numbers are compared.
+numba that shares designs among the same cores. They are run in turn, several chunks each, so that other load on the
+machine affects both. The loop takes as many substeps as it needs to be as exact as the sweep; its own limit with 64
+substeps is the truth. Next to them are the same loop in plain Python, and one simulation after the other. Further rows
+are memory and cost against the number of designs, and the best of all samples against a refined one. On an accelerator
+the sweep also runs on the processor alone, and its numbers are compared.
 """
 
 import os
@@ -61,6 +61,8 @@ stroke = "max"
 peak_temperature = {{ at_most = "110 degC" }}
 """
 CHECKED = 256
+# Number of times that the sweep and the loop run in turn.
+TURNS = 7
 # Evaluates some of a sweep's chunks on the processor alone, and prints the seconds without compilation; the tables go
 # to a folder next to the sweep.
 PROCESSOR = """
@@ -218,17 +220,16 @@ def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
     memory: list[float] = []
 
     def submit(missing):
-        """Chunks as the sweep has them worked on and written; after each lot the loop has its turn."""
-        start = time.perf_counter()
-        for lot in chunks.submit_locally(problem, False)(missing):
-            yield lot
+        """Chunks as the sweep has them worked on and written; after some of them the loop has its turn."""
+        for turn in in_turns(chunks.group_chunks(problem, missing, False)):
+            start = time.perf_counter()
+            yield from chunks.submit_locally(problem, False)(turn)
             middle = time.perf_counter()
-            for part, _ in lot:
+            for part in turn:
                 loop.strokes(part.designs, substeps)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
             seconds["ours"] += middle - start
-            start = time.perf_counter()
-            seconds["loop"] += start - middle
+            seconds["loop"] += time.perf_counter() - middle
 
     chunks.run_chunks(parts, problem.names, folder, submit, lambda k: say(f"{k} of {len(parts)} chunks"), lambda: False)
     columns = chunks.read_chunks(parts, folder)
@@ -239,9 +240,19 @@ def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
     rows += interpreted_rows(loop, sweep, 1e3 * seconds["ours"] / count, substeps, quick)
     if compilation.on_accelerator():
         rows.append(processor_row(folder, problem, parts, 1e3 * seconds["ours"] / count))
-    first = sum(len(part.rows) for part in groups[0])
+    first = sum(len(part.rows) for part in in_turns(groups)[0])
     rows += scaling_rows(sweep, problem, designs, count, seconds["ours"], memory, first)
     return [*rows, refinement_row(sweep, parts, best, count)]
+
+
+def in_turns(groups: list[list[chunks.Chunk]]) -> list[list[chunks.Chunk]]:
+    """Return the chunks of each turn: a sweep begins the next chunks early, so that a turn has several of them.
+
+    Args:
+        groups: Chunks that are simulated together.
+    """
+    size = -(-len(groups) // TURNS)
+    return [[part for group in groups[i : i + size] for part in group] for i in range(0, len(groups), size)]
 
 
 def exactness_text(error: float, loop_errors: list[tuple[int, float]]) -> str:
@@ -258,11 +269,10 @@ def time_sweep(problem, designs: np.ndarray, size: int) -> float:
         designs: The designs.
         size: Number of designs of a chunk.
     """
-    groups = chunks.group_chunks(problem, chunks.split_into_chunks(problem, designs, size), False)
-    warm(problem, groups)
+    parts = chunks.split_into_chunks(problem, designs, size)
+    warm(problem, chunks.group_chunks(problem, parts, False))
     start = time.perf_counter()
-    for group in groups:
-        list(chunks.submit_locally(problem, False)(group))
+    list(chunks.submit_locally(problem, False)(parts))
     return time.perf_counter() - start
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import types
 
 from experiments.common.base import ROOT
 from experiments.common.hidden_recordings import record
@@ -14,7 +15,7 @@ import pytest
 from smajax import parameters
 from smajax.api.diagnose import DiagnosisStudy, diagnose
 from smajax.api.load import load
-from smajax.diagnosis.other_laws import LawComparison, _cause, is_better
+from smajax.diagnosis.other_laws import LawComparison, LawFit, OtherLaws, _cause, is_better
 from smajax.files.rig_file import Rig, read_rig
 from smajax.fitting.material_laws import law_name, with_law
 from smajax.plant.effects import catalogue
@@ -58,6 +59,19 @@ def test_a_fall_of_the_error_in_one_block_is_chance():
 )
 def test_cause(own, with_effects, other, cause):
     assert _cause(*(residual_of(error, k) for k, error in enumerate((own, with_effects, other))), 0) == cause
+
+
+@pytest.mark.parametrize(("train_error", "cause"), [(1.0, "either"), (0.5, "either"), (2.0, "law")])
+def test_no_law_is_wrong_where_the_training_recording_does_not_determine_the_better_one(
+    train_error, cause, monkeypatch
+):
+    laws, own = OtherLaws.__new__(OtherLaws), types.SimpleNamespace(seed=0)
+    plant = plants.dead_weight()
+    laws._rig, laws._base, laws._own, laws._skipped = own, None, "brinson", {}  # pyright: ignore[reportAttributeAccessIssue]
+    laws.__dict__["_fits"] = [LawFit("tanaka", 4.0, train_error, residual_of(4.0, 1), plant)]
+    monkeypatch.setattr("smajax.diagnosis.other_laws._prediction", lambda evaluator, fit: residual_of(20.0))
+    found = laws.compare(own, None)  # pyright: ignore[reportArgumentType]
+    assert found.cause == cause and found.better == "tanaka" and found.errors == {"brinson": 20.0, "tanaka": 4.0}
 
 
 def test_parameters_of_both_laws_stay():
