@@ -115,13 +115,14 @@ class CandidateEvaluator:
         accurate = (k for k, e in errors if e < _MAX_STEP_ERROR * reduced_chi2 and reduced_chi2 > FAR_FROM_NOISE)
         return next(accurate, 1)
 
-    def free_columns(self, refit: Refit) -> np.ndarray:
+    def free_columns(self, refit: Refit, *, jointly: bool = False) -> np.ndarray:
         """Return a mask of the Jacobian's columns: true for parameters that are neither held nor pressed on a bound.
 
         Args:
             refit: The refit; its effect parameters count as free.
+            jointly: Whether it is one to training and selection split together.
         """
-        lower, upper = self.problem.bounds
+        lower, upper = self.problem.joint_bounds if jointly else self.problem.bounds
         gradient = refit.jacobian[:, : self.problem.size].T @ refit.residual
         margin = _ON_BOUND * (1 + np.abs(refit.base))
         pressed = (

@@ -66,7 +66,7 @@ def error_budget(
         names = frozenset(effect_set.keys)
         if names not in joint:
             stride = evaluator.stride(state.base_fit.train_chi2)
-            start = earlier.get(names) or evaluator.fit(effect_set, after.base, stride)
+            start = earlier.get(names) or evaluator.fit(effect_set, np.clip(after.base, *problem.bounds), stride)
             joint[names] = refit_jointly(problem, start)
         return joint[names]
 

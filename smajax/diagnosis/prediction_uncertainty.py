@@ -31,7 +31,7 @@ def expected_reduced_chi2(
         fitted: The splits to which the parameters were fitted.
         autocorrelated: Whether the autocorrelation of the residual is that of the noise; C includes it then.
     """
-    problem, free = evaluator.problem, evaluator.free_columns(refit)
+    problem, free = evaluator.problem, evaluator.free_columns(refit, jointly=len(fitted) > 1)
     # The own parameters of the training recordings do not act on other splits.
     own = (np.arange(len(free)) >= problem.shared_count) & (np.arange(len(free)) < problem.size)
 

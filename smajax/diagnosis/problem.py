@@ -58,8 +58,6 @@ class DiagnosisProblem(GriddedSplits):
         effect_kinds: Classes of all effects of the catalogue and of the plant, by key.
         capabilities: What the rig can have and show (``Plant.capabilities``).
         duration: Length of the longest training recording, s.
-        nominal: The base vector with the rig's own values, shape ``(p,)``.
-        bounds: Lower and upper bounds of the base vector, each of shape ``(p,)``.
         simulations: Number of simulations so far.
 
     Args:
@@ -100,9 +98,6 @@ class DiagnosisProblem(GriddedSplits):
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *zero_terms()))
         self.effect_parameters: EffectParameters = EffectParameters(self.effects, augmented, self.duration)
         super().__init__(augmented, splits, settings, {"interpolation": interpolation, "step": step})
-        nominal, *bounds = self._vector_bounds[TRAIN]
-        self.nominal: np.ndarray = nominal
-        self.bounds: tuple[np.ndarray, ...] = tuple(bounds)
         base = build_problem(plant, train, settings, interpolation=interpolation, step=step)
         self.base_problem: Problem = with_weights(base, splits[TRAIN].rows(), self.noise)
         self.simulations: int = 0
@@ -144,10 +139,16 @@ class DiagnosisProblem(GriddedSplits):
         """Return whether a refit has held some of its effects' parameters, as a search among candidates may."""
         return refit.jacobian.shape[1] - self.size < len(self.free_effect_parameters(refit.effect_set))
 
-    def vector_bounds(self, free: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds of the base vector followed by effect parameters in units of their scales."""
+    def vector_bounds(self, free: Sequence[str], *, jointly: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper bounds of the base vector followed by effect parameters in units of their scales.
+
+        Args:
+            free: Names of the effect parameters.
+            jointly: Whether the fit is one to training and selection split together.
+        """
         lower, upper = self.effect_parameters.bounds(free)
-        return np.append(self.bounds[0], lower), np.append(self.bounds[1], upper)
+        base = self.joint_bounds if jointly else self.bounds
+        return np.append(base[0], lower), np.append(base[1], upper)
 
     def score_effect(self, key: str, basis: np.ndarray, residual: np.ndarray, sensitivity: np.ndarray) -> Score:
         """Run the score test of one effect (``screening.score_test``).

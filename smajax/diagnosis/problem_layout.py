@@ -33,6 +33,19 @@ class VectorBounds(NamedTuple):
     upper: np.ndarray
 
 
+class JointPrior(NamedTuple):
+    """Base parameters that only fits to training and selection split together free, and their prior.
+
+    Attributes:
+        free: Whether only such a fit frees the parameter, shape ``(p,)``.
+        deviations: Standard deviation of each parameter about the rig's own value, in units of its scale; infinite
+            without a prior, shape ``(p,)``.
+    """
+
+    free: np.ndarray
+    deviations: np.ndarray
+
+
 def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Problem], list[VectorBounds]]:
     """Divide a problem of all recordings into one of the same shapes for each split.
 
@@ -99,7 +112,11 @@ class GriddedSplits:
         shared_count: Number of base parameters that all recordings share.
         own_count: Number of own parameters of each recording.
         settings: The fit settings of the rig file.
+        nominal: The base vector with the rig's own values, shape ``(p,)``.
+        bounds: Lower and upper bounds of the base vector, each of shape ``(p,)``, in fits to the training split.
         grid_options: ``interpolation`` and ``step`` of ``discretise``.
+        joint_prior: What a fit to training and selection split together (``joint_refit``) frees and assumes in
+            addition; ``None`` for nothing.
 
     Args:
         plant: The plant of all problems.
@@ -127,6 +144,10 @@ class GriddedSplits:
         self.shared_count: int = len(whole.shared)
         self.own_count: int = len(whole.per_recording)
         self.problems, self._vector_bounds = divide_problem(whole, self.splits)
+        nominal, *bounds = self._vector_bounds[TRAIN]
+        self.nominal: np.ndarray = nominal
+        self.bounds: tuple[np.ndarray, ...] = tuple(bounds)
+        self.joint_prior: JointPrior | None = None
         self.set_noise(self.noise)
 
     def set_noise(self, noise: dict[str, float]) -> None:
@@ -188,6 +209,16 @@ class GriddedSplits:
             split: Position of the split.
         """
         return float(np.mean(self.counted_samples(residual, split) ** 2))
+
+    @property
+    def joint_bounds(self) -> tuple[np.ndarray, ...]:
+        """Lower and upper bounds of the base vector in fits to training and selection split together."""
+        own, prior = self.bounds, self.joint_prior
+        if prior is None:
+            return own
+        return tuple(
+            np.where(prior.free, whole, side) for whole, side in zip(self._vector_bounds[TRAIN][1:], own, strict=True)
+        )
 
     def strided_problem(self, stride: int) -> Problem:
         """Return the training split at every ``stride``-th sample, on steps ``stride`` times as long.

@@ -335,7 +335,7 @@ def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, t
     problem, free_parameters = evaluator.problem, evaluator.problem.free_effect_parameters(refit.effect_set)
     if not free_parameters:
         return {}
-    free = evaluator.free_columns(refit)
+    free = evaluator.free_columns(refit, jointly=not problem.own_count)
     jacobians, residuals, by_split = [], [], []
     for k in (TRAIN,) if problem.own_count else (TRAIN, SELECT):
         residual, jacobian = problem.evaluate(refit.effect_set, refit.base, k, free_parameters)

@@ -21,6 +21,7 @@ from smajax.diagnosis.candidates import CandidateFit, EffectSet
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.memory import diagnosis_memory
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.problem_layout import JointPrior
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.fitting.memory import free_memory
 from smajax.numerics.ensemble import share_among_cores
@@ -29,6 +30,7 @@ from smajax.plant.cells import Cells
 from smajax.plant.effects.end_conduction import EndConduction
 from smajax.plant.effects.gradual_transformation import GradualTransformation
 from smajax.plant.effects.temperature_distribution import TemperatureDistribution
+from smajax.plant.grains import SHAPES as GRAIN_SHAPES
 from smajax.plant.grains import Grains
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
@@ -52,11 +54,18 @@ WIDTHS = ("grains.austenite_width", "grains.martensite_width")
 # Correlation of the shifts of a grain in both directions: they may be independent, which is where searches start.
 ANGLE = "grains.correlation_angle"
 _START_ANGLE = 0.5 * math.pi
+# Shapes of the distribution of the grains' shifts. One recording seldom determines them: only fits to training and
+# selection split together free them (``joint_refit``).
+SHAPES = tuple(f"grains.{name}" for name in GRAIN_SHAPES)
 # Convection differs along every wire by a few per cent, which shifts the temperatures of cells by as much of their rise
 # above the ambient. Starts of the searches, both signs, and bounds within which they stay. Chosen by trial.
 UNEVEN = "cells.uneven_convection"
 _START_UNEVEN = (0.01, -0.01)
 _LARGEST_UNEVEN = 0.1
+# Standard deviations of the structure's parameters in these fits, before anything is measured. Chosen by trial.
+_DEVIATIONS = (
+    dict.fromkeys(SPREADS, 0.2) | dict.fromkeys(WIDTHS, 0.5) | dict.fromkeys(SHAPES, 1.0) | {ANGLE: 0.6, UNEVEN: 0.05}
+)
 # Parameters of the variants without cells: even cooling, and hardly any conduction along the wire and into its clamps.
 _INSULATING = ("conductivity", "clamp_conductance", "clamp_capacity")
 _WITHOUT_CELLS = {f"cells.{name}": declarations(Cells)[name].lower for name in _INSULATING} | {UNEVEN: 0.0}
@@ -155,16 +164,24 @@ def structured_problem(problem: DiagnosisProblem, state: SelectionState) -> Diag
             these are not settled (``are_settled``), all effects are.
     """
     plant = parameters.replace(with_structure(problem.base_problem.plant), {ANGLE: _START_ANGLE})
-    free = (*problem.settings.free, *SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()))
+    own = (*SPREADS, *WIDTHS, ANGLE, *((UNEVEN,) if plant.cells is not None else ()), *SHAPES)
+    free = (*problem.settings.free, *own)
     settings = dataclasses.replace(problem.settings, free=free)  # pyright: ignore[reportArgumentType, reportCallIssue]
     keys = candidate_keys(state) if are_settled(state) else _without_approximations(problem.effects)
     structured = DiagnosisProblem(plant, problem.splits, settings, **problem.grid_options, candidates=keys)
     structured.set_noise(problem.noise)
+    unknowns = structured.problems[TRAIN].unknowns
     lower, upper = (side.copy() for side in structured.bounds)
-    for i, unknown in enumerate(structured.problems[TRAIN].unknowns):
+    for i, unknown in enumerate(unknowns):
         if unknown.name == UNEVEN:
             lower[i], upper[i] = (side / unknown.scale for side in (-_LARGEST_UNEVEN, _LARGEST_UNEVEN))
+        elif unknown.name in SHAPES:
+            lower[i] = upper[i] = structured.nominal[i]
     structured.bounds = (lower, upper)
+    structured.joint_prior = JointPrior(
+        np.array([unknown.name in SHAPES for unknown in unknowns]),
+        np.array([_DEVIATIONS.get(unknown.name, math.inf) / unknown.scale for unknown in unknowns]),
+    )
     return structured
 
 
@@ -286,7 +303,8 @@ def refit(evaluator: CandidateEvaluator, fit: CandidateFit, effect_set: EffectSe
 
 def _structure_values(problem: DiagnosisProblem, spread: float, uneven: float) -> np.ndarray:
     """Entries of the parameters of grains, and of the uneven convection, in the base vector."""
-    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: _START_ANGLE, UNEVEN: uneven}
+    values = dict.fromkeys(SPREADS, spread) | dict.fromkeys(WIDTHS, 1.0) | dict.fromkeys(SHAPES, 0.0)
+    values |= {ANGLE: _START_ANGLE, UNEVEN: uneven}
     return np.array([values[u.name] / u.scale for u in problem.problems[TRAIN].unknowns if u.name in values])
 
 

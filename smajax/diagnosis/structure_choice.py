@@ -96,7 +96,7 @@ def joint_errors(without: Evaluated, other: Evaluated) -> tuple[float, float] | 
     """
     excess = []
     for evaluator, fit in (without, other):
-        problem, joint = evaluator.problem, refit_jointly(evaluator.problem, fit.refit)
+        problem, joint = evaluator.problem, refit_jointly(evaluator.problem, fit.refit, shapes=False)
         residuals = {k: problem.predict(joint.effect_set, joint.base, k) for k in (TRAIN, SELECT)}
         excess.append([problem.reduced_chi2(residual, k) - 1.0 for k, residual in residuals.items()])
     # Not finite where a simulation fails.

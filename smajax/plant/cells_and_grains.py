@@ -125,7 +125,7 @@ class CellsAndGrains(eqx.Module):
         if jnp.ndim(material.austenite_shift):  # of each cell, by an effect
             flat = self._flat_over_grains(material.austenite_shift)
             material = eqx.tree_at(lambda law: law.austenite_shift, material, flat)
-        per_grain = jnp.asarray(self.grains.quantiles).T.reshape(2, -1, *(1,) * len(self.temperature_shape))
+        per_grain = self.grains.shifts.T.reshape(2, -1, *(1,) * len(self.temperature_shape))
         first, other = map(self._flat_over_grains, per_grain)
         return self.grains.material_of(material, (first, other))
 

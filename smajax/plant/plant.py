@@ -118,8 +118,7 @@ class Plant(StepSolver):
         if grains is None:
             installed = installed_with(law)
         else:
-            quantiles = tuple(jnp.asarray(grains.quantiles.T))
-            installed = jax.vmap(lambda *each: installed_with(grains.material_of(law, each)))(*quantiles)
+            installed = jax.vmap(lambda *each: installed_with(grains.material_of(law, each)))(*grains.shifts.T)
             # All cells start alike.
             installed = Fractions(*(f.reshape(shape[0], *(1,) * (len(shape) - 2), -1) for f in installed))
         installed = Fractions(*(jnp.broadcast_to(f, shape) for f in installed))

@@ -87,9 +87,9 @@ def test_a_joint_refit_also_starts_at_the_rig_s_own_values(rough):
     problem = rough[2]
     far = problem.nominal.copy()
     names = [unknown.name for unknown in problem.problems[TRAIN].unknowns]
-    far[names.index("material.austenite_shift")] -= 60.0 / problem.problems[TRAIN].unknowns[
-        names.index("material.austenite_shift")
-    ].scale
+    far[names.index("material.austenite_shift")] -= (
+        60.0 / problem.problems[TRAIN].unknowns[names.index("material.austenite_shift")].scale
+    )
     start = problem.fit(EffectSet(), problem.nominal, max_steps=1)
     costs = [
         sum(problem.reduced_chi2(problem.predict(EffectSet(), joint.base, k), k) for k in (TRAIN, SELECT))

@@ -3,12 +3,13 @@
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from smajax.plant.grains import Grains
+from smajax.plant.grains import SHAPES, Grains
 from smajax.plant.materials.base import COSINE_DEVIATION, COSINE_TANGENT_FACTOR, AbstractMaterial
 from smajax.plant.materials.lagoudas import LINEAR_DEVIATION, LINEAR_TANGENT_FACTOR
 from smajax.plant.materials.registry import MATERIALS
@@ -138,12 +139,42 @@ def test_quantiles_are_independent_of_those_in_another_order(count):
     assert np.mean(other**2) == pytest.approx(0.0 if count == 2 else 1.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 3, 5, 6, 12])
+def test_shapes_keep_the_mean_and_the_variance_of_the_shifts(count):
+    grains = Grains(correlation_angle=jnp.asarray(1.2), count=count)
+    drawn = np.random.default_rng(count).normal(size=len(SHAPES))
+    shaped = dataclasses.replace(grains, **dict(zip(SHAPES, map(jnp.asarray, drawn), strict=True)))
+    first, other = grains.quantiles.T
+    np.testing.assert_array_equal(grains.shifts[:, 0], first)
+    np.testing.assert_allclose(grains.shifts[:, 1], np.cos(1.2) * first + np.sin(1.2) * other, atol=1e-15)
+    np.testing.assert_allclose(np.mean(np.asarray(shaped.shifts), axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.mean(np.asarray(shaped.shifts) ** 2, axis=0)[0], 1.0, atol=1e-12)
+    is_shaped = not np.allclose(shaped.shifts, grains.shifts)
+    assert is_shaped == (count > 2)
+
+
+def test_shapes_give_six_grains_any_shifts():
+    """Together with mean, spread and angle they have as many directions as there are grains, in both transformations."""
+    grains = Grains(correlation_angle=jnp.asarray(1.2), count=6)
+    names = ("correlation_angle", *SHAPES)
+
+    def shifts(values):
+        own = dataclasses.replace(grains, **dict(zip(names, values, strict=True)))
+        return own.shifts.T
+
+    derivative = np.asarray(jax.jacfwd(shifts)(jnp.array([1.2, *[0.1] * len(SHAPES)])))
+    value = np.asarray(shifts(jnp.array([1.2, *[0.1] * len(SHAPES)])))
+    for k in range(2):
+        directions = np.column_stack([np.ones(6), value[k], derivative[k]])
+        assert np.linalg.matrix_rank(directions, tol=1e-9) == 6
+
+
 def test_the_cosine_of_the_angle_is_the_correlation_of_both_shifts():
     law = MATERIALS["brinson"](**plants.MATERIAL)
     shifts = {}
     for angle in (0.0, 0.5 * np.pi, 2.0):
         grains = Grains(correlation_angle=jnp.asarray(angle), count=6)
-        laws = [grains.material_of(law, tuple(jnp.asarray(q))) for q in grains.quantiles]
+        laws = [grains.material_of(law, tuple(shift)) for shift in grains.shifts]
         reverse, forward = (
             np.array([float(getattr(m, f"{p}_start")) for m in laws]) for p in ("austenite", "martensite")
         )
