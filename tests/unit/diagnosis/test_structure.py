@@ -15,7 +15,7 @@ from smajax.diagnosis import structure_choice
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
-from smajax.diagnosis.joint_refit import refit_jointly
+from smajax.diagnosis.joint_refit import _minimise, refit_jointly
 from smajax.diagnosis.outcome import diagnose
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
@@ -24,6 +24,7 @@ from smajax.diagnosis.structure import (
     ANGLE,
     CELLS,
     GRAINS,
+    SHAPES,
     SPREADS,
     UNEVEN,
     VARIANTS,
@@ -98,6 +99,30 @@ def test_a_joint_refit_also_starts_at_the_rig_s_own_values(rough):
     assert costs[1] <= 1.01 * costs[0]
 
 
+@pytest.mark.slow
+def test_only_joint_refits_fit_the_shapes_of_grains(structured):
+    """They have a prior, which costs no more than what the shapes explain, and training fits hold them."""
+    evaluator = CandidateEvaluator(structured, 0)
+    first = structured.fit(EffectSet(), structured.nominal, max_steps=1)
+    evaluator.base_refit(first.base, first.status)
+    names = np.array([unknown.name for unknown in structured.problems[TRAIN].unknowns])
+    is_shape = np.isin(names, SHAPES)
+    np.testing.assert_array_equal(first.base[is_shape], 0.0)
+    without = refit_jointly(structured, first, shapes=False)
+    with_shapes = _minimise(structured, without, shapes=True)
+    np.testing.assert_array_equal(without.base[is_shape], 0.0)
+    assert np.all(np.abs(with_shapes.base[is_shape]) > 1e-3) and np.all(np.abs(with_shapes.base[is_shape]) < 3.0)
+    left = [
+        [structured.reduced_chi2(structured.predict(EffectSet(), joint.base, k), k) for k in (TRAIN, SELECT, HOLDOUT)]
+        for joint in (without, with_shapes)
+    ]
+    assert sum(left[1][:2]) < 0.8 * sum(left[0][:2]) and left[1][2] < left[0][2]
+    free = [evaluator.free_columns(with_shapes, jointly=jointly)[is_shape] for jointly in (False, True)]
+    assert not free[0].any() and free[1].all()
+    has_prior = np.isfinite(structured.joint_prior.deviations)
+    assert all(name.startswith(("grains.", "cells.")) for name in names[has_prior]) and 0 < has_prior.sum() < len(names)
+
+
 def state_of(chi2: float, ranking: dict[str, tuple[float, float]] | None = None) -> SelectionState:
     state = SelectionState({}, {}, fit_of((), chi2), fit_of((), chi2), 1.05, {})
     for key, (error, gain) in (ranking or {}).items():
@@ -140,13 +165,14 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
         names = [unknown.name for unknown in held.problems[TRAIN].unknowns]
         fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
         one_grain = {*SPREADS, *WIDTHS, ANGLE} if variant in ("neither", "cells") else set()
-        assert fixed == one_grain | ({UNEVEN} if variant in ("neither", "grains") else set())
+        assert fixed == one_grain | {*SHAPES} | ({UNEVEN} if variant in ("neither", "grains") else set())
         difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
         differences[variant] = np.sqrt(np.mean(difference**2)) / size
     # Near 0: the insulating wire has a conductivity of 1e-3 W/m/K.
     assert differences["neither"] < 1e-2 * differences["cells"]
     assert min(differences[v] for v in ("cells", "grains", "both")) > 0.02
-    assert all(low < high for low, high in zip(*structured.bounds, strict=True))
+    assert all((low == high) == (n in SHAPES) for n, low, high in zip(names, *structured.bounds, strict=True))
+    assert all(low < high for low, high in zip(*structured.joint_bounds, strict=True))
 
 
 @pytest.mark.slow
