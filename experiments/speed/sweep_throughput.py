@@ -281,15 +281,12 @@ def warm(problem, groups) -> None:
 
     It is one program for each number of steps, and on an accelerator for each size of batch as well.
     """
-    compiled = set()
+    compiled, wide = set(), compilation.on_accelerator()
     for group in groups:
-        kind = (group[0].steps, sum(len(part.rows) for part in group) if compilation.on_accelerator() else 0)
+        kind = (group[0].steps, sum(len(part.rows) for part in group) if wide else 0)
         if kind not in compiled:
-            list(
-                chunks.submit_locally(problem, False)(
-                    group if compilation.on_accelerator() else [replace(group[0], designs=group[0].designs[:1])]
-                )
-            )
+            few = group if wide else [replace(group[0], designs=group[0].designs[:1])]
+            list(chunks.submit_locally(problem, False)(few))
         compiled.add(kind)
 
 

@@ -494,6 +494,8 @@ def test_cause_is_selected_although_the_base_fit_does_not_converge(evaluator, mo
     assert state.accepted == ("latent-heat",) and state.current.total_chi2 < 2.2
     state.current = state.base_fit
     monkeypatch.setattr("smajax.diagnosis.outcome.select_effects", lambda *_, **__: (evaluator, state))
+    # A structure would be fitted next, whose programs take minutes to compile.
+    monkeypatch.setattr("smajax.diagnosis.structured_selection.may_have_structure", lambda *_: False)
     with pytest.raises(NumericsError, match="did not converge") as error:
         diagnose(evaluator.problem)
     assert set(error.value.state) == {u.label for u in evaluator.problem.base_problem.unknowns}
