@@ -106,6 +106,12 @@ def add_case(folder: Path | None, case: dict[str, Any]) -> None:
             file.write(json.dumps(case) + "\n")
 
 
+def total_seconds(cases: Iterable[dict[str, Any]]) -> float | None:
+    """Return the running time of cases, of this run and of earlier ones; ``None`` if one has no ``seconds``."""
+    seconds = [case.get("seconds") for case in cases]
+    return None if None in seconds else sum(seconds)
+
+
 def read_shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
     """Read the rig and a recording of a folder of data/recordings."""
     folder = ROOT / "data" / "recordings" / name

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments.common.base import Row, add_case, finish, read_cases, say
+from experiments.common.base import Row, add_case, finish, read_cases, say, total_seconds
 
 import numpy as np
 
@@ -77,8 +77,7 @@ def report_cases(
     resumed = bool(read_cases(args.out))
     facts = collect_facts(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
     options = "" if args.quick or args.seeds == default_seeds else f" --seeds {args.seeds}"
-    seconds = sum(fact["seconds"] for fact in facts) if resumed else None
-    finish(rows(facts), args, words=options, resumed=resumed, seconds=seconds, cases=facts)
+    finish(rows(facts), args, words=options, resumed=resumed, seconds=total_seconds(facts), cases=facts)
 
 
 def verdict_facts(case: Case, diagnosis: Diagnosis) -> Facts:

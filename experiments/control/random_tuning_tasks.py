@@ -19,7 +19,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, add_case, arguments, finish, read_cases, say
+from experiments.common.base import Row, add_case, arguments, finish, read_cases, say, total_seconds
 from experiments.common.tuning_tasks import DRAWS, ExactRun, TuningTask, exact_runs, random_task, write_files
 
 import numpy as np
@@ -66,12 +66,13 @@ def main() -> None:
     for task in tasks:
         began = time.perf_counter()
         if task.words not in done:
-            done[task.words] = judge(task, args.de)
+            done[task.words] = judge(task, args.de) | {"seconds": time.perf_counter() - began}
             add_case(args.out, done[task.words])
-            say(f"{task.words}: {done[task.words]['words']} ({time.perf_counter() - began:.0f} s)")
+            say(f"{task.words}: {done[task.words]['words']} ({done[task.words]['seconds']:.0f} s)")
         results.append(done[task.words])
     words = f" --tasks {args.tasks}" if args.tasks != TASKS and not args.quick else ""
-    finish(rows_of(results), args, words=words + (" --de" if args.de else ""), resumed=resumed)
+    words += " --de" if args.de else ""
+    finish(rows_of(results), args, words=words, resumed=resumed, seconds=total_seconds(results))
 
 
 def judge(task: TuningTask, evolve: bool) -> dict[str, Any]:

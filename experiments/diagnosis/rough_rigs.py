@@ -34,7 +34,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, arguments, finish, read_cases, refuse, say, table
+from experiments.common.base import Row, arguments, finish, read_cases, refuse, say, table, total_seconds
 from experiments.common.diagnosis_cases import INTERCHANGEABLE, Case, Facts, collect_facts, count_row
 from experiments.common.rough_recordings import EFFECTS, KINDS, PAIRS, RoughRig, draw_rig, draw_strengths, record
 
@@ -320,7 +320,8 @@ def main() -> None:
     if diagnoses:
         print(case_table(diagnoses), end="\n\n")
     words = option_words(args)
-    finish([*rows, *total_rows(diagnoses, kinds)], args, words=words, resumed=resumed, cases=facts, lines=lines)
+    rows += total_rows(diagnoses, kinds)
+    finish(rows, args, words=words, resumed=resumed, seconds=total_seconds(facts), cases=facts, lines=lines)
 
 
 if __name__ == "__main__":

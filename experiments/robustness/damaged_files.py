@@ -11,11 +11,12 @@ a sentence, a crash, a try of more than 10 s, one that needs more than 512 MiB, 
 
 import dataclasses
 import sys
+import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, add_case, arguments, finish, read_cases, say
+from experiments.common.base import Row, add_case, arguments, finish, read_cases, say, total_seconds
 
 from tests.fuzz.attempts import FORMATS
 from tests.fuzz.hunt import hunt
@@ -45,9 +46,16 @@ def examine(kind: str, tries: int) -> dict:
         kind: A format of recordings, or a kind of TOML file.
         tries: Number of tries.
     """
+    began = time.perf_counter()
     findings = hunt(kind, FIRST, tries=tries)
+    seconds = time.perf_counter() - began
     outcomes = {name: findings.outcomes[name] for name in ("read", "refused")}
-    return {"kind": kind, **outcomes, **{k: v for k, v in dataclasses.asdict(findings).items() if k != "outcomes"}}
+    return {
+        "kind": kind,
+        "seconds": seconds,
+        **outcomes,
+        **{k: v for k, v in dataclasses.asdict(findings).items() if k != "outcomes"},
+    }
 
 
 def main() -> None:
@@ -68,7 +76,7 @@ def main() -> None:
     total = sum(case["tries"] for case in done.values())
     faults = sum(len(case["faults"]) for case in done.values())
     rows.insert(0, Row("all formats", "no fault", f"{total:,} tries, {faults} faults", not faults))
-    finish(rows, args, resumed=resumed)
+    finish(rows, args, resumed=resumed, seconds=total_seconds(done.values()))
 
 
 if __name__ == "__main__":

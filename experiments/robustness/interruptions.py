@@ -26,7 +26,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import ROOT, Row, add_case, arguments, finish, read_cases, say
+from experiments.common.base import ROOT, Row, add_case, arguments, finish, read_cases, say, total_seconds
 
 COMMANDS = {
     "fit": ["fit", "example.toml", "train.csv", "--holdout", "holdout.csv"],
@@ -237,10 +237,12 @@ def main() -> None:
     resumed = bool(done)
     for command in args.commands.split(","):
         if command not in done:
-            done[command] = examine(command, count)
+            began = time.perf_counter()
+            done[command] = examine(command, count) | {"seconds": time.perf_counter() - began}
             add_case(args.out, done[command])
     cases = [done[command] for command in args.commands.split(",")]
-    finish([total_row(cases), *(row for case in cases for row in rows_of(case))], args, resumed=resumed)
+    rows = [total_row(cases), *(row for case in cases for row in rows_of(case))]
+    finish(rows, args, resumed=resumed, seconds=total_seconds(cases))
 
 
 if __name__ == "__main__":
