@@ -214,8 +214,7 @@ def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
     error = np.sqrt(np.mean((metrics["stroke"] - truth) ** 2))
     loop_errors = match_exactness(loop, checked, truth, error)
     substeps = loop_errors[-1][0]
-    seconds = {"ours": 0.0, "loop": 0.0}
-    memory: list[float] = []
+    seconds, memory = {"ours": 0.0, "loop": 0.0}, list[float]()
 
     def submit(missing):
         """Chunks as the sweep has them worked on and written; after some of them the loop has its turn."""

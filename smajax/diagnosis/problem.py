@@ -146,8 +146,7 @@ class DiagnosisProblem(GriddedSplits):
             free: Names of the effect parameters.
             jointly: Whether the fit is one to training and selection split together.
         """
-        lower, upper = self.effect_parameters.bounds(free)
-        base = self.joint_bounds if jointly else self.bounds
+        (lower, upper), base = self.effect_parameters.bounds(free), self.joint_bounds if jointly else self.bounds
         return np.append(base[0], lower), np.append(base[1], upper)
 
     def score_effect(self, key: str, basis: np.ndarray, residual: np.ndarray, sensitivity: np.ndarray) -> Score:

@@ -62,7 +62,7 @@ SHAPES = tuple(f"grains.{name}" for name in GRAIN_SHAPES)
 UNEVEN = "cells.uneven_convection"
 _START_UNEVEN = (0.01, -0.01)
 _LARGEST_UNEVEN = 0.1
-# Standard deviations of the structure's parameters in these fits, before anything is measured. Chosen by trial.
+# Standard deviations of the prior of the structure's parameters in fits to both splits. Chosen by trial.
 _DEVIATIONS = (
     dict.fromkeys(SPREADS, 0.2) | dict.fromkeys(WIDTHS, 0.5) | dict.fromkeys(SHAPES, 1.0) | {ANGLE: 0.6, UNEVEN: 0.05}
 )
@@ -233,6 +233,8 @@ def holding(problem: DiagnosisProblem, values: Mapping[str, float]) -> Diagnosis
         i = names.index(name)
         held.nominal[i] = lower[i] = upper[i] = values[name] / unknowns[i].scale
     held.bounds = (lower, upper)
+    if (prior := problem.joint_prior) is not None:
+        held.joint_prior = prior._replace(free=prior.free & ~np.isin(names, list(values)))
     return held
 
 
@@ -243,7 +245,7 @@ def held_values(variant: str, has_cells: bool) -> dict[str, float]:
         variant: A key of ``VARIANTS``.
         has_cells: Whether the problem has cells.
     """
-    one_grain = dict.fromkeys(SPREADS, 0.0) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: 0.0}
+    one_grain = dict.fromkeys((*SPREADS, *SHAPES), 0.0) | dict.fromkeys(WIDTHS, 1.0) | {ANGLE: 0.0}
     values = one_grain if variant in ("neither", "cells") else {}
     return values | (_WITHOUT_CELLS if has_cells and variant in ("neither", "grains") else {})
 

@@ -101,7 +101,7 @@ def test_a_joint_refit_also_starts_at_the_rig_s_own_values(rough):
 
 @pytest.mark.slow
 def test_only_joint_refits_fit_the_shapes_of_grains(structured):
-    """They have a prior, which costs no more than what the shapes explain, and training fits hold them."""
+    """Fits to the training split hold them at 0."""
     evaluator = CandidateEvaluator(structured, 0)
     first = structured.fit(EffectSet(), structured.nominal, max_steps=1)
     evaluator.base_refit(first.base, first.status)
@@ -166,6 +166,9 @@ def test_variants_run_on_one_program_and_hold_what_they_lack(rough, structured):
         fixed = {name for name, low, high in zip(names, lower, upper, strict=True) if low == high}
         one_grain = {*SPREADS, *WIDTHS, ANGLE} if variant in ("neither", "cells") else set()
         assert fixed == one_grain | {*SHAPES} | ({UNEVEN} if variant in ("neither", "grains") else set())
+        free_jointly = {n for n, low, high in zip(names, *held.joint_bounds, strict=True) if low < high}
+        assert free_jointly & {*SHAPES} == ({*SHAPES} if variant in ("grains", "both") else set())
+        assert not free_jointly & one_grain
         difference = held.predict(EffectSet(), held.nominal, SELECT) - expected
         differences[variant] = np.sqrt(np.mean(difference**2)) / size
     # Near 0: the insulating wire has a conductivity of 1e-3 W/m/K.

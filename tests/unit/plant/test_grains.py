@@ -169,6 +169,22 @@ def test_shapes_give_six_grains_any_shifts():
         assert np.linalg.matrix_rank(directions, tol=1e-9) == 6
 
 
+@pytest.mark.parametrize("name", ["austenite_cubic", "martensite_quadratic"])
+def test_derivatives_by_shapes_are_those_of_finite_differences(name):
+    path = np.concatenate([np.linspace(40.0, 94.0, 60), np.linspace(94.0, 40.0, 60)])
+    plant = dataclasses.replace(plants.stress_path(), grains=Grains(count=6))
+    inputs = discretise(plant, plants.recording({"temperature": path, "stress": np.full(len(path), STRESS)}))
+
+    def strain(value):
+        grains = dataclasses.replace(Grains(count=6), **{name: value})
+        return simulate(dataclasses.replace(plant, grains=grains), inputs).channels["strain"]
+
+    _, derivative = jax.jvp(strain, (jnp.asarray(0.3),), (jnp.asarray(1.0),))
+    differences = np.asarray(strain(jnp.asarray(0.3 + 1e-5)) - strain(jnp.asarray(0.3 - 1e-5))) / 2e-5
+    assert np.max(np.abs(differences)) > 1e-4
+    np.testing.assert_allclose(derivative, differences, atol=1e-3 * np.max(np.abs(differences)))
+
+
 def test_the_cosine_of_the_angle_is_the_correlation_of_both_shifts():
     law = MATERIALS["brinson"](**plants.MATERIAL)
     shifts = {}
